@@ -30,6 +30,7 @@ from vntoolkit.geometry.slope_grid import (
     slopes_kernel,
     weights_kernel,
 )
+from vntoolkit.materials.pixels import SERIES
 from vntoolkit.materials.reflectance import Lamps, lamps_from_response
 from vntoolkit.materials.split_frame import block_size, blocks_moved, cells_of
 from vntoolkit.native import njit
@@ -60,7 +61,6 @@ _LEAST_LIGHT, _TINY = np.float32(0.02), np.float32(1e-9)
 _NONE, _HALF, _ONE, _TWO = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(2.0)
 _DEGREES = np.float32(np.degrees(1.0))
 _ARCSINE = np.float32(1.0 / 6.0), np.float32(3.0 / 40.0)
-_ARTANH = tuple(np.float32(2.0 / k) for k in (1, 3, 5, 7, 9))
 _NO_LABEL = 255
 _LEAST_COSINE = np.float32(np.cos(np.radians(45.0)))  # no paint of skin turns a normal farther
 _GUESSED = 3  # for `weights_kernel` a block of two lights, whose softness is another
@@ -345,7 +345,7 @@ def _log_ratio(one: Any, other: Any) -> Any:
     """
     z = (one - other) / (one + other)
     y = z * z
-    return z * (_ARTANH[0] + y * (_ARTANH[1] + y * (_ARTANH[2] + y * (_ARTANH[3] + y * _ARTANH[4]))))
+    return z * (SERIES[0] + y * (SERIES[1] + y * (SERIES[2] + y * (SERIES[3] + y * SERIES[4]))))
 
 
 @njit(cache=True, inline="always", error_model="numpy")

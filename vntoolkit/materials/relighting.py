@@ -39,9 +39,9 @@ def relit(
 
     labels: (h, w), numbers of the reflectances (m, 3). pigments: (m, 3), the lines of log ρ along which
     materials change, 0 for none. seams: how pixels beside seams are mixtures; without it they are of one
-    material. mask: (h, w), where pigments count, since they cost time; None for everywhere. box: rows and
-    columns beyond which the result is 0; None for none. Ambient light falls on the material too: it is
-    divided by ρ with the rest.
+    material. mask: (h, w), the subject, whose pixels tell each other's light and may have pigment; None for
+    everywhere. box: rows and columns beyond which the result is 0; None for none. Ambient light falls on the
+    material too: it is divided by ρ with the rest.
     """
     values = np.asarray(reflectances, np.float64)
     lamps = lamps_from_response(response, np.zeros(3))
@@ -52,6 +52,7 @@ def relit(
     inside = np.ones(labels.shape, np.bool_) if mask is None else mask
     h, w = labels.shape
     box = box or (slice(0, h), slice(0, w))
+    corners = box[0].start, box[0].stop, box[1].start, box[1].stop
     near, done = np.zeros(labels.shape, np.bool_), np.zeros(labels.shape, np.bool_)
     if seams is not None and seams.blur_px > 0.0 and len(values) > 1:
         reach = reach_of_blur(seams.blur_px)
@@ -65,7 +66,7 @@ def relit(
             tuple(each.astype(np.float32) for each in (lamps.haze, lamps.inverse, lamps.split, merge)),
             values.astype(np.float32), blur, around,
             (np.float32(seams.steps), np.float32(seams.tolerance)), np.asarray(seams.noise, np.float32) ** 2,
-            (box[0].start, box[0].stop, box[1].start, box[1].stop), out,
+            corners, out,
         )  # fmt: skip
         if done[box].all():
             return LinearFrame(rgb=out, clipped=frame.clipped, number=frame.number)
@@ -75,7 +76,7 @@ def relit(
         np.ascontiguousarray(frame.rgb), labels, matrices.astype(np.float32),
         tuple(each.astype(np.float32) for each in of_lamps),
         tuple(each.astype(np.float32) for each in of_materials), inside, done,
-        (box[0].start, box[0].stop, box[1].start, box[1].stop), out,
+        corners, out,
     )  # fmt: skip
     return LinearFrame(rgb=out, clipped=frame.clipped, number=frame.number)
 
