@@ -12,6 +12,7 @@ from vntoolkit.checks import checks_kinds, require_finite, require_same_size, re
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
+from vntoolkit.integration.cast_shadows import DepthSteps
 from vntoolkit.integration.discontinuity import (
     confidence_of_edges,
     evidence_from_chords,
@@ -59,8 +60,10 @@ class DepthIntegrator:
         self.parts: Components | None = None  # of the map integrated last, where they had to be found
 
     @checks_kinds
-    def integrate(self, normal_map: NormalMap) -> DepthMap:
+    def integrate(self, normal_map: NormalMap, steps: DepthSteps | None = None) -> DepthMap:
         """Return the depth of `normal_map` (h, w), in the camera frame.
+
+        steps: what is known of steps of depth between neighbours; COSINE and FOURIER cannot use them.
 
         Lengths are in pixels for an orthographic camera of scale 1, in its length unit for another scale,
         and free (mean 1) for a perspective camera. Raises `BadInput` where the size is not the camera's,
@@ -72,16 +75,18 @@ class DepthIntegrator:
             have = f"{normal_map.shape[1]}×{normal_map.shape[0]}"
             raise BadInput(f"normals are {have} but the camera is {wanted[1]}×{wanted[0]}")
         domain = self._domain_of(normal_map)
-        choice = self._choice(domain)
+        choice = self._choice(domain, steps)
         if choice in _RECTANGLE:
             self.parts = None
             p, q = slopes_from_normals(
                 normal_map.normals_in_camera, self._rays, self._options.steepest_slope_deg
             )
             return self._finish(self._solve_rectangle(p, q, choice), domain)
-        return self._integrate_domain(normal_map, domain, choice)
+        return self._integrate_domain(normal_map, domain, choice, steps)
 
-    def _integrate_domain(self, normal_map: NormalMap, domain: Mask, choice: Integrator) -> DepthMap:
+    def _integrate_domain(
+        self, normal_map: NormalMap, domain: Mask, choice: Integrator, steps: DepthSteps | None
+    ) -> DepthMap:
         normals, weight = normal_map.normals_in_camera, normal_map.weight
         if not sum_is_finite(normals):  # a pixel outside the domain may be anything
             require_finite(normals[domain], "normals to integrate")
@@ -91,7 +96,7 @@ class DepthIntegrator:
             self._domain = DomainSolver(domain, self._rays, self._options)
         self.parts = self._domain.components
         solve = self._domain.poisson if choice is Integrator.POISSON else self._domain.discontinuity
-        return self._finish(solve(normals, weight), domain, self._domain.components)
+        return self._finish(solve(normals, weight, steps), domain, self._domain.components)
 
     def _domain_of(self, normal_map: NormalMap) -> Mask:
         domain = normal_map.mask
@@ -100,10 +105,10 @@ class DepthIntegrator:
         require_some(domain, "normals to integrate")
         return domain
 
-    def _choice(self, domain: Mask) -> Integrator:
+    def _choice(self, domain: Mask, steps: DepthSteps | None) -> Integrator:
         full = bool(domain.all())
         if self._options.integrator is None:
-            return Integrator.COSINE if full else Integrator.POISSON
+            return Integrator.COSINE if full and steps is None else Integrator.POISSON
         if self._options.integrator in _RECTANGLE and not full:
             raise BadInput(
                 f"the {self._options.integrator.value} integrator needs every pixel of the rectangle, "
@@ -166,7 +171,9 @@ class DomainSolver:
     def _points(self) -> FloatArray:
         return self._rays.image_plane_points(*self.domain.shape)[self.domain]
 
-    def poisson(self, normals: Normals, weight: Weight | None) -> Float64Array:
+    def poisson(
+        self, normals: Normals, weight: Weight | None, steps: DepthSteps | None = None
+    ) -> Float64Array:
         """Least squares over all edges of the domain.
 
         Conjugate gradients: the cosine transform is the preconditioner without weights, multigrid with them.
@@ -174,12 +181,17 @@ class DomainSolver:
         box = self.components.box
         p, q = slopes_from_normals(normals[box], self._near, self._options.steepest_slope_deg)
         edges = edges_from_slopes(p, q, self.domain[box], None if weight is None else weight[box])
+        if steps is not None:
+            edges = steps.added_to(edges, box, self._rays.pixels_per_unit)
         start = None if self._last is None else self._last[box]
-        solution = self._masked.solve(edges, start, weighted=weight is not None)
+        weighted = weight is not None or steps is not None
+        solution = self._masked.solve(edges, start, weighted=weighted)
         self.iterations = self._masked.iterations
         return self._keep(solution)
 
-    def discontinuity(self, normals: Normals, weight: Weight | None) -> Float64Array:
+    def discontinuity(
+        self, normals: Normals, weight: Weight | None, steps: DepthSteps | None = None
+    ) -> Float64Array:
         """Robust least squares that cuts edges across depth discontinuities."""
         graph, scale = self._graph, self._rays.pixels_per_unit
         chords = chords_from_normals(
@@ -190,11 +202,14 @@ class DomainSolver:
             pixels_per_unit=scale,
             steepest_slope_deg=self._options.steepest_slope_deg,
         )
+        difference, confidence = chords.difference, confidence_of_edges(graph, weight)
+        if steps is not None:
+            difference, confidence = steps.added_to_graph(graph, self.domain.shape[1], difference, confidence)
         nodes = solve_discontinuous(
             graph,
-            chords.difference,
+            difference,
             evidence_from_chords(graph, chords, self.domain),
-            confidence_of_edges(graph, weight),
+            confidence,
             start=self._start() * scale,
             most_iterations=self._options.most_iterations,
         )

@@ -11,8 +11,10 @@ from vntoolkit.arrays import BoolArray, Colours, LinearImage, Mask, VisibilityLa
 from vntoolkit.checks import require_shape
 from vntoolkit.errors import BadCapture
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
+from vntoolkit.integration.cast_shadows import steps_from_shadows
 from vntoolkit.integration.expected_error import with_expected_depth_error
 from vntoolkit.integration.integrate import DepthAnchor, DepthIntegrator
+from vntoolkit.integration.slopes import rays_from_camera
 from vntoolkit.io.footage.decoding import EncodedFrame, linear_frame_from_encoded, resampler_of
 from vntoolkit.io.footage.gel_dots import DotFilter
 from vntoolkit.materials.labelling import MaterialLabeller
@@ -33,6 +35,7 @@ from vntoolkit.pipeline.outputs import FrameResult
 from vntoolkit.pipeline.painted_surface import PaintedSurface
 from vntoolkit.shadows.contributions import brighter_than
 from vntoolkit.shadows.detector import ShadowDetector, ShadowMethod
+from vntoolkit.shadows.lamp_directions import LampDirections, directions_from_shadows
 from vntoolkit.shadows.recovery import recover_surface
 
 _SAMPLED, _BINS = 4, 4096  # every fourth pixel of every fourth row tells how bright a subject is
@@ -86,6 +89,7 @@ class FrameProcessor:
             nothing: Mask = np.zeros(filmed, dtype=np.bool_)
             self._dots = DotFilter(self._resampler.frame(LinearFrame(rgb=background, clipped=nothing)).rgb)
         self._integrator = DepthIntegrator(self.camera, options.integration)
+        self._rays = rays_from_camera(self.camera)
         self._anchor: DepthAnchor | None = None
         self._central = rig.response.central
         fitted = rig.quality is not None and rig.quality.samples
@@ -119,9 +123,9 @@ class FrameProcessor:
         """Tie the depth of all later frames to this one's; see `DepthAnchor`. Raises as `process` does."""
         self.forget()
         self._look_inside(matte)
-        normal_map, _, _ = self._normals(frame)
-        if normal_map.mask.any():
-            self._anchor = DepthAnchor(self._integrator.integrate(normal_map))
+        result = self._normals(frame)
+        if result.normal_map.mask.any():
+            self._anchor = DepthAnchor(self._integrated(result))
         self.forget()
 
     def forget(self) -> None:
@@ -141,21 +145,13 @@ class FrameProcessor:
     def normals(self, frame: EncodedFrame, matte: Mask | None = None) -> FrameResult:
         """The first half of `process`: normals and labels."""
         self._look_inside(matte)
-        normal_map, labels, clipped_share = self._normals(frame)
-        if not normal_map.mask.any():
+        result = self._normals(frame)
+        if not result.normal_map.mask.any():
             raise BadCapture(
                 f"{frame.name}: no usable pixel: all are black, clipped or outside the mask; "
                 "look at exposure, mask and rig"
             )
-        return FrameResult(
-            number=frame.number,
-            normal_map=normal_map,
-            depth_map=None,
-            labels=labels,
-            mesh=None,
-            clipped_share=clipped_share,
-            materials=self._materials,
-        )
+        return result
 
     def with_surface(self, result: FrameResult, frame: EncodedFrame) -> FrameResult:
         """The second half: depth and mesh, as far as the options say.
@@ -163,7 +159,7 @@ class FrameProcessor:
         Another thread may work on it while this one finds the next frame's normals; frames come in order.
         """
         normal_map = result.normal_map
-        depth_map = None if self._options.to is Product.NORMALS else self._depth(normal_map)
+        depth_map = None if self._options.to is Product.NORMALS else self._depth(result)
         contact = None
         if self._gel is not None and depth_map is not None:
             depth_map = rested(depth_map)
@@ -184,7 +180,7 @@ class FrameProcessor:
         if matte is not None:
             self._mask = self._whole_mask & self._resampler.mask(matte)
 
-    def _normals(self, frame: EncodedFrame) -> tuple[NormalMap, VisibilityLabels | None, float]:
+    def _normals(self, frame: EncodedFrame) -> FrameResult:
         require_shape(frame.values, (*self._rig.footage_size[::-1], 3), frame.name)
         residual_deg = self._residual_deg
         if self._is_plain(frame):
@@ -195,11 +191,11 @@ class FrameProcessor:
                     options=self._options.inversion, bits=frame.bits, residual_deg=residual_deg,
                     blur_px=self._blur_px, residual_of_pixels=self._residual_of_pixels,
                 )  # fmt: skip
-                return normal_map, None, clipped_share
+                return self._result(frame, normal_map, clipped_share)
             normal_map = normals_from_encoded(
                 values, response, transfer, self._mask, self._options.inversion, frame.bits
             )
-            return normal_map, None, 0.0
+            return self._result(frame, normal_map, 0.0)
         linear = self.linear(frame)
         if self._gel is not None and self._dots is not None:
             change, filled = self._dots.filled(linear.rgb, linear.clipped)
@@ -208,7 +204,7 @@ class FrameProcessor:
             normal_map = self._gel.normals(change, drift, self._mask)
             if self._with_errors:
                 normal_map = self._gel.with_expected_error(normal_map)
-            return normal_map, None, clipped_share
+            return self._result(frame, normal_map, clipped_share)
         filmed, turned_deg = linear, None
         if self._painted is not None:
             self._mask = self._mask & self._painted.mask(frame.number)
@@ -233,15 +229,36 @@ class FrameProcessor:
                 linear, self._rig.response, self._mask, options=self._options.inversion
             )
         clipped_share = float(np.count_nonzero(linear.clipped)) / linear.clipped.size
-        if not self._with_errors:
-            return normal_map, labels, clipped_share
-        normal_map = expected_error.with_expected_error(
-            normal_map, level, self._central, labels if solved else None, self.camera, residual_deg,
-            self._blur_px, self._residual_of_pixels,
-        )  # fmt: skip
-        if turned_deg is not None:
-            normal_map = expected_error.with_doubt(normal_map, turned_deg)
-        return normal_map, labels, clipped_share
+        lamps = None
+        if solved and labels is not None and self._options.to is not Product.NORMALS:
+            lamps = directions_from_shadows(level, labels, self._rig.response, normal_map.mask)
+        if self._with_errors:
+            normal_map = expected_error.with_expected_error(
+                normal_map, level, self._central, labels if solved else None, self.camera, residual_deg,
+                self._blur_px, self._residual_of_pixels,
+            )  # fmt: skip
+            if turned_deg is not None:
+                normal_map = expected_error.with_doubt(normal_map, turned_deg)
+        return self._result(frame, normal_map, clipped_share, labels, lamps)
+
+    def _result(
+        self,
+        frame: EncodedFrame,
+        normal_map: NormalMap,
+        clipped_share: float,
+        labels: VisibilityLabels | None = None,
+        lamps: LampDirections | None = None,
+    ) -> FrameResult:
+        return FrameResult(
+            number=frame.number,
+            normal_map=normal_map,
+            depth_map=None,
+            labels=labels,
+            mesh=None,
+            clipped_share=clipped_share,
+            materials=self._materials,
+            lamps=lamps,
+        )
 
     def _normals_under_shadow(
         self, linear: LinearFrame, frame: LinearFrame
@@ -288,8 +305,15 @@ class FrameProcessor:
         plain = plain and self._labeller is None and self._painted is None
         return integers and plain and not self._resampler.changes_frames
 
-    def _depth(self, normal_map: NormalMap) -> DepthMap:
-        depth_map = self._integrator.integrate(normal_map)
+    def _integrated(self, result: FrameResult) -> DepthMap:
+        steps, lamps = None, result.lamps
+        if lamps is not None and result.labels is not None:
+            normals, mask = result.normal_map.normals_in_camera, result.normal_map.mask
+            steps = steps_from_shadows(result.labels, normals, mask, lamps.at, lamps.doubts, self._rays)
+        return self._integrator.integrate(result.normal_map, steps)
+
+    def _depth(self, result: FrameResult) -> DepthMap:
+        normal_map, depth_map = result.normal_map, self._integrated(result)
         if self._anchor is not None and self._gel is None:  # a gel rests at 0 in every frame
             depth_map = self._anchor.align(depth_map, self._integrator.parts)
         if self._with_errors and normal_map.error_deg is not None:

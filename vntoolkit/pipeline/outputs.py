@@ -11,6 +11,7 @@ from vntoolkit.io.maps_and_meshes.maps import write_depth_map, write_normal_map
 from vntoolkit.io.maps_and_meshes.meshes import write_mesh
 from vntoolkit.materials.pixels import MaterialLabels
 from vntoolkit.pipeline.contact import Contact
+from vntoolkit.shadows.lamp_directions import LampDirections
 
 # folder -> suffix of a frame's file in it
 FRAME_FILES = {
@@ -24,7 +25,7 @@ class FrameResult:
     """What one frame became; None for what was not asked for. clipped_share: of all pixels, 0 to 1.
 
     contact: what touches a tactile gel, where its depth was asked for. materials: (h, w) numbers of
-    materials, where there are others than the rig's.
+    materials, where there are others than the rig's. lamps: where they stand, if shadows were looked for.
     """
 
     number: int
@@ -35,6 +36,7 @@ class FrameResult:
     clipped_share: float
     contact: Contact | None = None
     materials: MaterialLabels | None = None
+    lamps: LampDirections | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,0 +1,267 @@
+"""Steps of depth that cast shadows tell.
+
+Normals say nothing of how far one surface lies behind another. A cast shadow does: from where it ends, the
+ray to the lamp grazes what throws it (Kender and Smith 1987, `kender1987`; `daum1998`). Along that ray depth
+changes by as much per pixel as the lamp's direction says, so that a shadow's length is a difference of depth.
+What the slopes leave of it is the step at the rim of what throws the shadow: where, in the dark, a surface
+that faces the lamp meets one that does not, or the light begins again towards the lamp.
+
+A shadow that runs out of sight, over the outline or into a surface turned away, is at least as long as what
+is seen of it; so is its step.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from vntoolkit.arrays import (
+    Array,
+    BoolArray,
+    Float32Array,
+    Float64Array,
+    FloatArray,
+    Int64Array,
+    Mask,
+    Normals,
+    Points2,
+    Vector3,
+    VisibilityLabels,
+)
+from vntoolkit.integration.edges import EdgeField, PixelGraph
+from vntoolkit.integration.slopes import RayField
+from vntoolkit.native import njit
+
+_FACING = np.float32(0.1)  # cosine to the lamp above which a surface in the dark has a shadow cast upon it
+_SHARP = np.float32(0.2)  # … above which the place where the light begins again is known to a pixel
+_STEEPEST = np.float32(8.0)  # slope of a pixel, by which a rim that is seen from the side counts
+_UNIT_VARIANCE = math.tan(math.radians(12.0)) ** 2  # of a slope, in squared pixels, that a weight divides
+_LENGTH_DOUBT_PX = np.float32(
+    1.0
+)  # standard deviation of a shadow's length: half a pixel or more at each end
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DepthSteps:
+    """What to add to the differences of depth between neighbouring pixels of an image.
+
+    down: (n,) bool; rows, columns: (n,): the edge from pixel (column, row) to the next one down, or to the
+    right. steps: (n,) in pixels, as the slope of a pixel is. variances: (n,), squared pixels.
+    """
+
+    down: BoolArray
+    rows: Int64Array
+    columns: Int64Array
+    steps: FloatArray
+    variances: FloatArray
+
+    def added_to(self, edges: EdgeField, box: tuple[slice, slice], pixels_per_unit: float) -> EdgeField:
+        """Return the edges of a window with the steps in it, each in doubt as its slope and its step are."""
+        rows, columns = self.rows - box[0].start, self.columns - box[1].start
+        height, width = edges.right.shape
+        inside = (rows >= 0) & (columns >= 0) & (rows < height) & (columns < width)
+
+        def added(difference: Float32Array, weight: Float32Array, which: BoolArray) -> list[Float32Array]:
+            at, difference, weight = (rows[which], columns[which]), difference.copy(), weight.copy()
+            difference[at] += (self.steps[which] / pixels_per_unit).astype(np.float32)
+            weight[at] = self._less_sure(weight[at], which)
+            return [difference, weight]
+
+        right, right_weight = added(edges.right, edges.right_weight, inside & ~self.down)
+        down, down_weight = added(edges.down, edges.down_weight, inside & self.down)
+        return EdgeField(right=right, down=down, right_weight=right_weight, down_weight=down_weight)
+
+    def added_to_graph(
+        self, graph: PixelGraph, width: int, difference: Float64Array, confidence: Float64Array
+    ) -> tuple[Float64Array, Float64Array]:
+        """Return differences in pixels and confidences (m,) of a graph's edges with their steps.
+
+        width: of the image.
+        """
+        pixels = graph.pixels[graph.tail]
+        right, down = pixels[: graph.across], pixels[graph.across :]
+        difference, confidence = difference.copy(), confidence.copy()
+        for first, edges, which in ((0, right, ~self.down), (graph.across, down, self.down)):
+            wanted = self.rows[which] * width + self.columns[which]
+            at = np.minimum(np.searchsorted(edges, wanted), len(edges) - 1)
+            found = edges[at] == wanted
+            own, at = np.flatnonzero(which)[found], first + at[found]
+            difference[at] += self.steps[own]
+            confidence[at] = self._less_sure(confidence[at], own)
+        return difference, confidence
+
+    def _less_sure(self, weight: Array, which: Array) -> Array:
+        return np.asarray(weight / (1.0 + weight * self.variances[which] / _UNIT_VARIANCE), weight.dtype)
+
+
+def steps_from_shadows(
+    labels: VisibilityLabels,
+    normals: Normals,
+    mask: Mask,
+    lamp_at: Callable[[int, Points2], FloatArray],
+    doubts: Vector3,
+    rays: RayField,
+) -> DepthSteps | None:
+    """Find the steps at the rims of what throws shadows; None where there are none.
+
+    labels: (h, w), bit k set where lamp k arrives. normals: (h, w, 3), unit, of `mask`, in the camera frame.
+    lamp_at: returns unit vectors (n, 3) to lamp k at pixels (n, 2). doubts: (3,), the directions' standard
+    deviations in radians, infinite for a lamp that is not known.
+    """
+    normals = np.asarray(normals, np.float32)
+    height, width = mask.shape
+    middle = np.array([[0.5 * width - 0.5, 0.5 * height - 0.5]])
+    edges, steps, variances = [], [], []
+    for k, doubt in enumerate(doubts):
+        if not np.isfinite(doubt):
+            continue
+        bit = np.uint8(1 << k)
+        rims = _rims(labels, bit, normals, mask, lamp_at(k, middle)[0].astype(np.float32))
+        lamps = lamp_at(k, rims[:, 1::-1].astype(np.float64)).astype(np.float32)
+        step, variance = _steps(
+            rims, lamps, labels, bit, normals, mask, np.float32(doubt), rays.affine,
+            np.float32(rays.depth_scales_ray),
+        )  # fmt: skip
+        known = variance > 0.0
+        first, last = np.minimum(rims[:, :2], rims[:, 2:]), np.maximum(rims[:, :2], rims[:, 2:])
+        down = last[:, 0] > first[:, 0]
+        edges.append(((down * height + first[:, 0]).astype(np.int64) * width + first[:, 1])[known])
+        steps.append(step[known])
+        variances.append(variance[known])
+    codes, place = np.unique(np.concatenate(edges or [np.zeros(0, np.int64)]), return_inverse=True)
+    if not len(codes):
+        return None
+    weights = 1.0 / np.concatenate(variances)
+    variance = 1.0 / np.bincount(place, weights)
+    down, pixels = codes >= height * width, codes % (height * width)
+    return DepthSteps(
+        down=down,
+        rows=pixels // width,
+        columns=pixels % width,
+        steps=np.bincount(place, weights * np.concatenate(steps)) * variance,
+        variances=variance,
+    )
+
+
+@njit(cache=True, error_model="numpy")
+def _rims(labels: Any, bit: Any, normals: Any, mask: Any, lamp: Any) -> Any:
+    """Return (n, 4): row and column of pixels that a shadow is cast upon, and of neighbours where none is."""
+    h, w = mask.shape
+    found, count = np.empty((256, 4), np.int32), 0
+    for v in range(h):
+        for u in range(w):
+            if not mask[v, u] or labels[v, u] & bit or _cosine(normals, lamp, v, u) <= _FACING:
+                continue
+            for dv, du in ((0, 1), (1, 0), (0, -1), (-1, 0)):
+                y, x = v + dv, u + du
+                if not (0 <= y < h and 0 <= x < w) or not mask[y, x]:
+                    continue
+                if not labels[y, x] & bit and _cosine(normals, lamp, y, x) > _FACING:
+                    continue
+                if count == len(found):
+                    found = np.concatenate((found, np.empty_like(found)))
+                found[count, 0], found[count, 1], found[count, 2], found[count, 3] = v, u, y, x
+                count += 1
+    return found[:count]
+
+
+@njit(cache=True, error_model="numpy")
+def _steps(
+    rims: Any, lamps: Any, labels: Any, bit: Any, normals: Any, mask: Any, doubt: Any, affine: Any,
+    perspective: Any,
+) -> tuple[Any, Any]:  # fmt: skip
+    """Return (n,) steps along the edges right and down, and their variances, 0 where nothing tells."""
+    steps, variances = np.zeros((2, len(rims)), np.float32)
+    for i in range(len(rims)):
+        v, u, y, x = rims[i, 0], rims[i, 1], rims[i, 2], rims[i, 3]
+        step, variances[i] = _step(
+            labels, bit, normals, mask, lamps[i], doubt, affine, perspective, v, u, y, x
+        )  # fmt: skip
+        steps[i] = step if v < y or u < x else -step
+    return steps, variances
+
+
+@njit(cache=True, forceinline=True, error_model="numpy")
+def _cosine(normals: Any, lamp: Any, v: int, u: int) -> Any:
+    return normals[v, u, 0] * lamp[0] + normals[v, u, 1] * lamp[1] + normals[v, u, 2] * lamp[2]
+
+
+@njit(cache=True, error_model="numpy")
+def _step(
+    labels: Any, bit: Any, normals: Any, mask: Any, lamp: Any, doubt: Any, affine: Any, perspective: Any,
+    v: int, u: int, y: int, x: int,
+) -> tuple[Any, Any]:  # fmt: skip
+    """Return by how much depth changes from the pixel (u, v), shadowed, to its neighbour (x, y), and the
+    variance; both 0 where nothing tells.
+    """
+    zero, half, one = np.float32(0.0), np.float32(0.5), np.float32(1.0)
+    ray_x = perspective * (affine[0] * np.float32(u) + affine[1] * np.float32(v) + affine[2])
+    ray_y = perspective * (affine[3] * np.float32(u) + affine[4] * np.float32(v) + affine[5])
+    along_u, along_v = lamp[0] - ray_x * lamp[2], lamp[1] - ray_y * lamp[2]
+    length = np.sqrt(along_u * along_u + along_v * along_v)
+    if lamp[2] >= zero or length < np.float32(1e-3):
+        return zero, zero
+    rise = -lamp[2] / length  # of the ray to the lamp, towards the camera, per pixel
+    if labels[y, x] & bit and _way_to_light(labels, bit, mask, v, u, y, x, along_u, along_v) <= zero:
+        return zero, zero
+    most = max(abs(along_u), abs(along_v))
+    step_u, step_v = along_u / most, along_v / most
+    stride = length / most  # pixels
+    h, w = mask.shape
+    # away from the lamp, to the end of the shadow
+    slopes, count, is_open, at_v, at_u = zero, zero, True, v, u
+    while True:
+        slopes += _slope(normals, affine, perspective, at_v, at_u, step_u, step_v)
+        count += one
+        at_v, at_u = round(v - count * step_v), round(u - count * step_u)
+        if not (0 <= at_v < h and 0 <= at_u < w and mask[at_v, at_u]):
+            break
+        if labels[at_v, at_u] & bit:
+            is_open = _cosine(normals, lamp, at_v, at_u) < _SHARP
+            break
+        if _cosine(normals, lamp, at_v, at_u) <= _FACING:
+            break
+    if is_open:
+        count -= half
+    # towards the lamp, to where the light begins again: no part of it rises above the ray, one touches it
+    best, ahead, at_v, at_u = -rise * stride * count - slopes, zero, y, x
+    while 0 <= at_v < h and 0 <= at_u < w and mask[at_v, at_u] and not labels[at_v, at_u] & bit:
+        slopes += _slope(normals, affine, perspective, at_v, at_u, step_u, step_v)
+        count += one
+        ahead += one
+        best = max(best, -rise * stride * count - slopes)
+        at_v, at_u = round(y + ahead * step_v), round(x + ahead * step_u)
+    turned = (one + rise * rise) * doubt * stride * count
+    variance = (rise * _LENGTH_DOUBT_PX) ** 2 + turned * turned
+    if best >= zero or best * best < np.float32(4.0) * variance:
+        return zero, zero
+    return best, variance
+
+
+@njit(cache=True, error_model="numpy")
+def _slope(
+    normals: Any, affine: Any, perspective: Any, v: int, u: int, step_u: Any, step_v: Any
+) -> Any:  # fmt: skip
+    """Change of depth per step, in pixels."""
+    x = perspective * (affine[0] * np.float32(u) + affine[1] * np.float32(v) + affine[2])
+    y = perspective * (affine[3] * np.float32(u) + affine[4] * np.float32(v) + affine[5])
+    n0, n1, n2 = normals[v, u, 0], normals[v, u, 1], normals[v, u, 2]
+    along = n0 * step_u + n1 * step_v
+    facing = -(n0 * x + n1 * y + n2)
+    return along / max(facing, abs(along) / _STEEPEST, np.float32(1e-6))
+
+
+@njit(cache=True, error_model="numpy")
+def _way_to_light(
+    labels: Any, bit: Any, mask: Any, v: int, u: int, y: int, x: int, along_u: Any, along_v: Any
+) -> Any:
+    """Return how far the light beside the edge between two pixels lies on the lamp's side; unit free."""
+    h, w = mask.shape
+    total = np.float32(0.0)
+    for j in range(max(min(v, y) - 2, 0), min(max(v, y) + 3, h)):
+        for i in range(max(min(u, x) - 2, 0), min(max(u, x) + 3, w)):
+            if mask[j, i] and labels[j, i] & bit:
+                total += along_u * (np.float32(2 * i - u - x)) + along_v * (np.float32(2 * j - v - y))
+    return total

@@ -1,0 +1,97 @@
+"""Where the lamps stand, told by the colours of what they do not reach.
+
+M holds directions and colours of the lamps as one product. Where a channel sees more than one lamp, its row
+of M lies between their directions. But where lamp k is missing, whatever the surface, the other two mix
+M⁻¹ (r − a) in the plane that is orthogonal to lamp k's direction: its normal is the direction.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from vntoolkit.arrays import FloatArray, Mask, Matrix3, Points2, Vector3, VisibilityLabels
+from vntoolkit.native import njit
+from vntoolkit.photometry.frame import ALL_LIT, LinearFrame
+from vntoolkit.photometry.response import LightResponse
+
+_FEWEST_PIXELS = 30
+_MOST_PIXELS = 2_000  # evenly spread: more tell nothing new
+_ROUNDS = 8  # of the robust fit
+_TUNING = 2.0  # standard deviations from the plane at which a colour counts a quarter
+_MEDIAN_TO_DEVIATION = 1.4826
+_LEAST_OFFSET = 0.01  # of a colour, off its plane: what half-light, ambient light and interreflection leave
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LampDirections:
+    """Directions of three lamps under one response.
+
+    rows: (3, 3), row k is orthogonal to the colours of all lamps but k. doubts: (3,), standard deviations of
+    the directions in radians, infinite where a lamp is not known.
+    """
+
+    response: LightResponse
+    rows: Matrix3
+    doubts: Vector3
+
+    def at(self, lamp: int, positions_px: Points2) -> FloatArray:
+        """Return unit vectors (n, 3) from the surface at pixels (n, 2) to a lamp, in the camera frame."""
+        matrices, _ = self.response.at(positions_px)
+        towards: FloatArray = np.einsum("i,nij->nj", self.rows[lamp], matrices)
+        return towards / np.linalg.norm(towards, axis=1, keepdims=True)
+
+
+def directions_from_shadows(
+    level: LinearFrame, labels: VisibilityLabels, response: LightResponse, mask: Mask
+) -> LampDirections:
+    """Return the lamps' directions: by their colours where these are known, else by what lies in shadow.
+
+    level: the frame as the response at its centre forms it. labels: (h, w), bit k set where lamp k arrives.
+    """
+    if response.light_colours is not None:
+        return LampDirections(response=response, rows=response.contributions_from_rgb, doubts=np.zeros(3))
+    rows, doubts = np.eye(3), np.full(3, np.inf)
+    for k in range(3):
+        pixels = _inside(labels, np.uint8(ALL_LIT - (1 << k)), mask)
+        if len(pixels) < _FEWEST_PIXELS:
+            continue
+        pixels = pixels[:: 1 + len(pixels) // _MOST_PIXELS]
+        colours = level.rgb.reshape(-1, 3)[pixels] - response.ambient
+        direction, doubts[k] = _normal_of_plane(colours @ response.inverse.T)
+        rows[k] = response.inverse.T @ direction
+    return LampDirections(response=response, rows=rows, doubts=doubts)
+
+
+@njit(cache=True)
+def _inside(labels: Any, label: Any, mask: Any) -> Any:
+    """Return the flat indices of the pixels of one label whose neighbours all have it."""
+    h, w = mask.shape
+    found, count = np.empty(h * w, np.int64), 0
+    for v in range(1, h - 1):
+        for u in range(1, w - 1):
+            if labels[v, u] != label:
+                continue
+            alike = 0
+            for y in range(v - 1, v + 2):
+                for x in range(u - 1, u + 2):
+                    alike += mask[y, x] and labels[y, x] == label
+            if alike == 9:
+                found[count] = v * w + u
+                count += 1
+    return found[:count]
+
+
+def _normal_of_plane(vectors: FloatArray) -> tuple[Vector3, float]:
+    """Return the normal of the plane through 0 that vectors (n, 3) lie in, towards the viewer; its doubt."""
+    vectors = vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-9)
+    weight = np.ones(len(vectors))
+    for _ in range(_ROUNDS):
+        squares, axes = np.linalg.eigh((vectors * weight[:, None]).T @ vectors)
+        off = vectors @ axes[:, 0]
+        scale = max(_TUNING * _MEDIAN_TO_DEVIATION * float(np.median(np.abs(off))), 1e-6)
+        weight = 1.0 / (1.0 + (off / scale) ** 2) ** 2
+    across, along, longest = np.sqrt(np.maximum(squares, 0.0))
+    doubt = np.hypot(across, _LEAST_OFFSET * longest) / max(along, 1e-9)
+    normal = axes[:, 0] * -np.copysign(1.0, axes[2, 0])
+    return normal, float(doubt)
