@@ -113,17 +113,19 @@ def steps_from_shadows(
     normals = np.asarray(normals, np.float32)
     height, width = mask.shape
     middle = np.array([[0.5 * width - 0.5, 0.5 * height - 0.5]])
+    perspective = np.float32(rays.depth_scales_ray)
     edges, steps, variances = [], [], []
     for k, doubt in enumerate(doubts):
         if not np.isfinite(doubt):
             continue
         bit = np.uint8(1 << k)
-        rims = _rims(labels, bit, normals, mask, lamp_at(k, middle)[0].astype(np.float32))
+        lamp = lamp_at(k, middle)[0].astype(np.float32)
+        under = _cast_upon(labels, bit, normals, mask, lamp, rays.affine, perspective)
+        rims = _rims(labels, bit, mask, under)
         lamps = lamp_at(k, rims[:, 1::-1].astype(np.float64)).astype(np.float32)
         step, variance = _steps(
-            rims, lamps, labels, bit, normals, mask, np.float32(doubt), rays.affine,
-            np.float32(rays.depth_scales_ray),
-        )  # fmt: skip
+            rims, lamps, labels, bit, under, normals, mask, np.float32(doubt), rays.affine, perspective
+        )
         known = variance > 0.0
         first, last = np.minimum(rims[:, :2], rims[:, 2:]), np.maximum(rims[:, :2], rims[:, 2:])
         down = last[:, 0] > first[:, 0]
@@ -146,19 +148,52 @@ def steps_from_shadows(
 
 
 @njit(cache=True, error_model="numpy")
-def _rims(labels: Any, bit: Any, normals: Any, mask: Any, lamp: Any) -> Any:
+def _cast_upon(
+    labels: Any, bit: Any, normals: Any, mask: Any, lamp: Any, affine: Any, perspective: Any
+) -> Any:
+    """Return (h, w) bool: dark pixels that face the lamp, so that something else throws the shadow on them.
+
+    Normals in the dark are poor, and each alone may be wrong. A shadow's far part, towards where it ends, is
+    cast and its near part is where the surface turned from the lamp: every line towards the lamp is divided
+    where most of its pixels agree.
+    """
+    h, w = mask.shape
+    out = np.zeros((h, w), np.bool_)
+    for v in range(h):
+        for u in range(w):
+            if not mask[v, u] or labels[v, u] & bit:
+                continue
+            step_u, step_v, _, rise = _way(affine, perspective, lamp, v, u)
+            if rise <= np.float32(0.0):
+                continue
+            back = 0
+            while _is_dark(labels, bit, mask, round(v - (back + 1) * step_v), round(u - (back + 1) * step_u)):
+                back += 1
+            score, best, divide, i = 0, 0, 0, -back
+            while True:
+                y, x = round(v + i * step_v), round(u + i * step_u)
+                if not _is_dark(labels, bit, mask, y, x):
+                    break
+                i += 1
+                score += 1 if _cosine(normals, lamp, y, x) > _FACING else -1
+                if score > best:
+                    best, divide = score, i + back
+            out[v, u] = back < divide
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def _rims(labels: Any, bit: Any, mask: Any, under: Any) -> Any:
     """Return (n, 4): row and column of pixels that a shadow is cast upon, and of neighbours where none is."""
     h, w = mask.shape
     found, count = np.empty((256, 4), np.int32), 0
     for v in range(h):
         for u in range(w):
-            if not mask[v, u] or labels[v, u] & bit or _cosine(normals, lamp, v, u) <= _FACING:
+            if not under[v, u]:
                 continue
             for dv, du in ((0, 1), (1, 0), (0, -1), (-1, 0)):
                 y, x = v + dv, u + du
-                if not (0 <= y < h and 0 <= x < w) or not mask[y, x]:
-                    continue
-                if not labels[y, x] & bit and _cosine(normals, lamp, y, x) > _FACING:
+                if not (0 <= y < h and 0 <= x < w) or not mask[y, x] or under[y, x]:
                     continue
                 if count == len(found):
                     found = np.concatenate((found, np.empty_like(found)))
@@ -169,15 +204,15 @@ def _rims(labels: Any, bit: Any, normals: Any, mask: Any, lamp: Any) -> Any:
 
 @njit(cache=True, error_model="numpy")
 def _steps(
-    rims: Any, lamps: Any, labels: Any, bit: Any, normals: Any, mask: Any, doubt: Any, affine: Any,
-    perspective: Any,
+    rims: Any, lamps: Any, labels: Any, bit: Any, under: Any, normals: Any, mask: Any, doubt: Any,
+    affine: Any, perspective: Any,
 ) -> tuple[Any, Any]:  # fmt: skip
     """Return (n,) steps along the edges right and down, and their variances, 0 where nothing tells."""
     steps, variances = np.zeros((2, len(rims)), np.float32)
     for i in range(len(rims)):
         v, u, y, x = rims[i, 0], rims[i, 1], rims[i, 2], rims[i, 3]
         step, variances[i] = _step(
-            labels, bit, normals, mask, lamps[i], doubt, affine, perspective, v, u, y, x
+            labels, bit, under, normals, mask, lamps[i], doubt, affine, perspective, v, u, y, x
         )  # fmt: skip
         steps[i] = step if v < y or u < x else -step
     return steps, variances
@@ -188,46 +223,58 @@ def _cosine(normals: Any, lamp: Any, v: int, u: int) -> Any:
     return normals[v, u, 0] * lamp[0] + normals[v, u, 1] * lamp[1] + normals[v, u, 2] * lamp[2]
 
 
+@njit(cache=True, forceinline=True, error_model="numpy")
+def _is_dark(labels: Any, bit: Any, mask: Any, v: int, u: int) -> Any:
+    """Whether a place lies in the mask and in the lamp's shadow."""
+    return 0 <= v < len(mask) and 0 <= u < mask.shape[1] and mask[v, u] and not labels[v, u] & bit
+
+
+@njit(cache=True, forceinline=True, error_model="numpy")
+def _way(affine: Any, perspective: Any, lamp: Any, v: int, u: int) -> tuple[Any, Any, Any, Any]:
+    """Return the step towards the lamp, along u and v, of one column or row; its length in pixels; and by how
+    much the ray to the lamp comes towards the camera per pixel, 0 where it does not cross the picture.
+    """
+    x = perspective * (affine[0] * np.float32(u) + affine[1] * np.float32(v) + affine[2])
+    y = perspective * (affine[3] * np.float32(u) + affine[4] * np.float32(v) + affine[5])
+    along_u, along_v = lamp[0] - x * lamp[2], lamp[1] - y * lamp[2]
+    length = np.sqrt(along_u * along_u + along_v * along_v)
+    if length < np.float32(1e-3):
+        return np.float32(0.0), np.float32(0.0), np.float32(0.0), np.float32(0.0)
+    most = max(abs(along_u), abs(along_v))
+    return along_u / most, along_v / most, length / most, max(-lamp[2] / length, np.float32(0.0))
+
+
 @njit(cache=True, error_model="numpy")
 def _step(
-    labels: Any, bit: Any, normals: Any, mask: Any, lamp: Any, doubt: Any, affine: Any, perspective: Any,
-    v: int, u: int, y: int, x: int,
+    labels: Any, bit: Any, under: Any, normals: Any, mask: Any, lamp: Any, doubt: Any, affine: Any,
+    perspective: Any, v: int, u: int, y: int, x: int,
 ) -> tuple[Any, Any]:  # fmt: skip
     """Return by how much depth changes from the pixel (u, v), shadowed, to its neighbour (x, y), and the
     variance; both 0 where nothing tells.
     """
     zero, half, one = np.float32(0.0), np.float32(0.5), np.float32(1.0)
-    ray_x = perspective * (affine[0] * np.float32(u) + affine[1] * np.float32(v) + affine[2])
-    ray_y = perspective * (affine[3] * np.float32(u) + affine[4] * np.float32(v) + affine[5])
-    along_u, along_v = lamp[0] - ray_x * lamp[2], lamp[1] - ray_y * lamp[2]
-    length = np.sqrt(along_u * along_u + along_v * along_v)
-    if lamp[2] >= zero or length < np.float32(1e-3):
+    step_u, step_v, stride, rise = _way(affine, perspective, lamp, v, u)
+    if rise <= zero:
         return zero, zero
-    rise = -lamp[2] / length  # of the ray to the lamp, towards the camera, per pixel
-    if labels[y, x] & bit and _way_to_light(labels, bit, mask, v, u, y, x, along_u, along_v) <= zero:
+    if labels[y, x] & bit and _way_to_light(labels, bit, mask, v, u, y, x, step_u, step_v) <= zero:
         return zero, zero
-    most = max(abs(along_u), abs(along_v))
-    step_u, step_v = along_u / most, along_v / most
-    stride = length / most  # pixels
-    h, w = mask.shape
-    # away from the lamp, to the end of the shadow
-    slopes, count, is_open, at_v, at_u = zero, zero, True, v, u
-    while True:
-        slopes += _slope(normals, affine, perspective, at_v, at_u, step_u, step_v)
+    # away from the lamp, to the end of the shadow; a normal that does not face the lamp there is wrong
+    slopes, known, count, at_v, at_u = zero, zero, zero, v, u
+    while _is_dark(labels, bit, mask, at_v, at_u) and under[at_v, at_u]:
+        if _cosine(normals, lamp, at_v, at_u) > _FACING:
+            slopes += _slope(normals, affine, perspective, at_v, at_u, step_u, step_v)
+            known += one
         count += one
         at_v, at_u = round(v - count * step_v), round(u - count * step_u)
-        if not (0 <= at_v < h and 0 <= at_u < w and mask[at_v, at_u]):
-            break
-        if labels[at_v, at_u] & bit:
-            is_open = _cosine(normals, lamp, at_v, at_u) < _SHARP
-            break
-        if _cosine(normals, lamp, at_v, at_u) <= _FACING:
-            break
-    if is_open:
+    if known == zero:
+        return zero, zero
+    slopes *= count / known
+    inside = 0 <= at_v < len(mask) and 0 <= at_u < mask.shape[1] and mask[at_v, at_u]
+    if not inside or not labels[at_v, at_u] & bit or _cosine(normals, lamp, at_v, at_u) < _SHARP:
         count -= half
     # towards the lamp, to where the light begins again: no part of it rises above the ray, one touches it
     best, ahead, at_v, at_u = -rise * stride * count - slopes, zero, y, x
-    while 0 <= at_v < h and 0 <= at_u < w and mask[at_v, at_u] and not labels[at_v, at_u] & bit:
+    while _is_dark(labels, bit, mask, at_v, at_u):
         slopes += _slope(normals, affine, perspective, at_v, at_u, step_u, step_v)
         count += one
         ahead += one
