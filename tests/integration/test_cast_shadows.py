@@ -45,7 +45,8 @@ def found(
         return np.broadcast_to(lamp, (len(positions), 3))
 
     normals = flat_normals(mask) if normals is None else normals
-    return steps_from_shadows(labels, normals, mask, lamp_at, KNOWN, rays_from_camera(camera))
+    normal_map = NormalMap(normals_in_camera=normals, mask=mask)
+    return steps_from_shadows(normal_map, labels, lamp_at, KNOWN, rays_from_camera(camera))
 
 
 @pytest.mark.parametrize("integrator", [Integrator.POISSON, Integrator.DISCONTINUITY, None])

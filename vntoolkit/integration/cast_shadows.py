@@ -24,12 +24,11 @@ from vntoolkit.arrays import (
     Float64Array,
     FloatArray,
     Int64Array,
-    Mask,
-    Normals,
     Points2,
     Vector3,
     VisibilityLabels,
 )
+from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.integration.edges import EdgeField, PixelGraph
 from vntoolkit.integration.slopes import RayField
 from vntoolkit.native import njit
@@ -97,20 +96,19 @@ class DepthSteps:
 
 
 def steps_from_shadows(
+    normal_map: NormalMap,
     labels: VisibilityLabels,
-    normals: Normals,
-    mask: Mask,
     lamp_at: Callable[[int, Points2], FloatArray],
     doubts: Vector3,
     rays: RayField,
 ) -> DepthSteps | None:
     """Find the steps at the rims of what throws shadows; None where there are none.
 
-    labels: (h, w), bit k set where lamp k arrives. normals: (h, w, 3), unit, of `mask`, in the camera frame.
+    labels: (h, w), bit k set where lamp k arrives.
     lamp_at: returns unit vectors (n, 3) to lamp k at pixels (n, 2). doubts: (3,), the directions' standard
     deviations in radians, infinite for a lamp that is not known.
     """
-    normals = np.asarray(normals, np.float32)
+    normals, mask = np.asarray(normal_map.normals_in_camera, np.float32), normal_map.mask
     height, width = mask.shape
     middle = np.array([[0.5 * width - 0.5, 0.5 * height - 0.5]])
     perspective = np.float32(rays.depth_scales_ray)
@@ -204,8 +202,8 @@ def _rims(labels: Any, bit: Any, mask: Any, under: Any) -> Any:
 
 @njit(cache=True, error_model="numpy")
 def _steps(
-    rims: Any, lamps: Any, labels: Any, bit: Any, under: Any, normals: Any, mask: Any, doubt: Any,
-    affine: Any, perspective: Any,
+    rims: Any, lamps: Any, labels: Any, bit: Any, under: Any, normals: Any, mask: Any,
+    doubt: Any, affine: Any, perspective: Any,
 ) -> tuple[Any, Any]:  # fmt: skip
     """Return (n,) steps along the edges right and down, and their variances, 0 where nothing tells."""
     steps, variances = np.zeros((2, len(rims)), np.float32)
@@ -246,8 +244,8 @@ def _way(affine: Any, perspective: Any, lamp: Any, v: int, u: int) -> tuple[Any,
 
 @njit(cache=True, error_model="numpy")
 def _step(
-    labels: Any, bit: Any, under: Any, normals: Any, mask: Any, lamp: Any, doubt: Any, affine: Any,
-    perspective: Any, v: int, u: int, y: int, x: int,
+    labels: Any, bit: Any, under: Any, normals: Any, mask: Any, lamp: Any, doubt: Any,
+    affine: Any, perspective: Any, v: int, u: int, y: int, x: int,
 ) -> tuple[Any, Any]:  # fmt: skip
     """Return by how much depth changes from the pixel (u, v), shadowed, to its neighbour (x, y), and the
     variance; both 0 where nothing tells.

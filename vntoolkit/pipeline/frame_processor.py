@@ -308,8 +308,7 @@ class FrameProcessor:
     def _integrated(self, result: FrameResult) -> DepthMap:
         steps, lamps = None, result.lamps
         if lamps is not None and result.labels is not None:
-            normals, mask = result.normal_map.normals_in_camera, result.normal_map.mask
-            steps = steps_from_shadows(result.labels, normals, mask, lamps.at, lamps.doubts, self._rays)
+            steps = steps_from_shadows(result.normal_map, result.labels, lamps.at, lamps.doubts, self._rays)
         return self._integrator.integrate(result.normal_map, steps)
 
     def _depth(self, result: FrameResult) -> DepthMap:

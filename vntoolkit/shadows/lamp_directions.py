@@ -1,7 +1,7 @@
 """Where the lamps stand, told by the colours of what they do not reach.
 
 M holds directions and colours of the lamps as one product. Where a channel sees more than one lamp, its row
-of M lies between their directions. But where lamp k is missing, whatever the surface, the other two mix
+of M lies between their directions. But where lamp k is missing, whatever the surface, the others mix
 M⁻¹ (r − a) in the plane that is orthogonal to lamp k's direction: its normal is the direction.
 """
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from vntoolkit.arrays import FloatArray, Mask, Matrix3, Points2, Vector3, VisibilityLabels
 from vntoolkit.native import njit
-from vntoolkit.photometry.frame import ALL_LIT, LinearFrame
+from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
 
 _FEWEST_PIXELS = 30
@@ -20,7 +20,7 @@ _MOST_PIXELS = 2_000  # evenly spread: more tell nothing new
 _ROUNDS = 8  # of the robust fit
 _TUNING = 2.0  # standard deviations from the plane at which a colour counts a quarter
 _MEDIAN_TO_DEVIATION = 1.4826
-_LEAST_OFFSET = 0.01  # of a colour, off its plane: what half-light, ambient light and interreflection leave
+_LEAST_OFFSET = 0.02  # of a colour, off its plane: what near lamps, half-light and interreflection leave
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -53,7 +53,7 @@ def directions_from_shadows(
         return LampDirections(response=response, rows=response.contributions_from_rgb, doubts=np.zeros(3))
     rows, doubts = np.eye(3), np.full(3, np.inf)
     for k in range(3):
-        pixels = _inside(labels, np.uint8(ALL_LIT - (1 << k)), mask)
+        pixels = _inside(labels, np.uint8(1 << k), mask)
         if len(pixels) < _FEWEST_PIXELS:
             continue
         pixels = pixels[:: 1 + len(pixels) // _MOST_PIXELS]
@@ -64,18 +64,18 @@ def directions_from_shadows(
 
 
 @njit(cache=True)
-def _inside(labels: Any, label: Any, mask: Any) -> Any:
-    """Return the flat indices of the pixels of one label whose neighbours all have it."""
+def _inside(labels: Any, bit: Any, mask: Any) -> Any:
+    """Return flat indices of pixels that one lamp does not reach but another does; so their neighbours."""
     h, w = mask.shape
     found, count = np.empty(h * w, np.int64), 0
     for v in range(1, h - 1):
         for u in range(1, w - 1):
-            if labels[v, u] != label:
+            if labels[v, u] & bit or labels[v, u] == 0:
                 continue
             alike = 0
             for y in range(v - 1, v + 2):
                 for x in range(u - 1, u + 2):
-                    alike += mask[y, x] and labels[y, x] == label
+                    alike += mask[y, x] and not labels[y, x] & bit and labels[y, x] != 0
             if alike == 9:
                 found[count] = v * w + u
                 count += 1
