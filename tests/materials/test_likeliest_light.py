@@ -88,3 +88,14 @@ def test_what_is_outside_the_mask_tells_nothing_of_the_subject() -> None:
     )
     assert np.array_equal(first, second)
     assert np.isfinite(relit(frame, RESPONSE, labels, YARNS, seams=SEAMS, mask=mask).rgb).all()
+
+
+def test_a_mirrored_picture_has_the_mirrored_light() -> None:
+    normals, mask = dome(101)  # its rows end inside the last chunk of pixels that is done at once
+    labels = (np.indices(mask.shape)[1] // 12 % 2).astype(np.uint8)
+    frame = filmed(normals, labels)
+    found = relit(frame, RESPONSE, labels, YARNS, seams=SEAMS, mask=mask).rgb
+    mirrored = (np.ascontiguousarray(each[:, ::-1]) for each in (frame.rgb, labels, mask))
+    rgb, labels, mask = mirrored
+    again = relit(LinearFrame(rgb), RESPONSE, labels, YARNS, seams=SEAMS, mask=mask).rgb
+    np.testing.assert_allclose(again[mask], found[:, ::-1][mask], rtol=1e-4, atol=1e-5)

@@ -380,6 +380,22 @@ def test_lines_beside_which_nothing_changed_are_left_as_deciding_them_again_woul
     assert max(reaches) == (3 if blur_px else 1)
 
 
+def test_carried_labels_away_from_changes_are_as_deciding_them_again_leaves_them_but_for_a_few(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    frame, mask = tartan(300, seed=3)
+    moved = LinearFrame(np.roll(frame.rgb, 2, axis=1))
+    cloth = 0.5 * (YARNS[:, None] + YARNS)[np.triu_indices(3)]
+    first, found = None, []
+    for around in (pixels._AROUND, 10_000):
+        monkeypatch.setattr(pixels, "_AROUND", around)
+        labeller = MaterialLabeller(RESPONSE, cloth)
+        first = labeller.labels(frame, mask)
+        found.append(labeller.labels(moved, np.roll(mask, 2, axis=1)))
+    assert np.mean(found[0] != first) > 0.02
+    assert np.mean(found[0] != found[1]) < 1e-3
+
+
 def test_a_yarn_of_a_tartan_that_is_seen_in_small_squares_only_is_found_by_its_mixtures() -> None:
     frame, mask = tartan(180, seed=3)
     found = find_materials([frame], [mask], RESPONSE)

@@ -128,7 +128,7 @@ class MaterialLabeller:
         self._before, self._split = coarse, split
         if split.factor == 1:
             self._fine = self._beside_seams
-            return np.where(mask, coarse, 0).astype(np.uint8)
+            return coarse * mask
         assert self._coarse is not None
         labels, near = np.empty(mask.shape, np.uint8), np.empty(mask.shape, np.bool_)
         reach = (MARGIN_PX + split.factor - 1) // split.factor
@@ -140,7 +140,7 @@ class MaterialLabeller:
             self._fine = BlurredLabels(lamps, self._logs, self._coarse.spread)
         found = self._fine.followed(frame.rgb, mask, labels, near)
         _take_blocks(found, mask, split.factor, coarse)
-        return np.where(mask, found, 0).astype(np.uint8)
+        return found * mask
 
     def relit(
         self,
@@ -218,9 +218,10 @@ class MaterialLabeller:
         plain = split.lit & ~near_seams(blocks, _BESIDE)
         chosen = [plain & (blocks == m) for m in range(len(self._logs))]
         found: list[tuple[Vector3, Vector3] | None] = [None] * len(chosen)
+        contributions = split.contributions
         line: Vector3 | None = None  # of the largest material that has one
         for m in sorted(range(len(chosen)), key=lambda m: -np.count_nonzero(chosen[m])):
-            pigment = pigment_of(split.contributions, chosen[m], self._logs[m], split.lamps, line)
+            pigment = pigment_of(contributions, chosen[m], self._logs[m], split.lamps, line)
             if line is None and pigment is not None:
                 line = pigment[0]
             found[m] = pigment
@@ -274,7 +275,7 @@ class MaterialLabeller:
             sweeps=_CARRIED_SWEEPS,
         )
         paid = self._coarse.prices(found).sum(dtype=np.float64)
-        if paid > self._mean_price * split.lit.sum():
+        if paid > self._mean_price * np.count_nonzero(split.lit):
             return None
         if split.factor > 1:  # pixels are decided after blocks
             return found

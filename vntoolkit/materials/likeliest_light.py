@@ -16,11 +16,13 @@ import numpy as np
 from numba import prange
 
 from vntoolkit.materials.mixtures import CHUNK_PX, fill_largest, fill_means, places_in_room, room_for
+from vntoolkit.materials.pixels import scattering
 from vntoolkit.materials.reflectance import CAP
 from vntoolkit.native import njit
 
 _STRIP = 32  # rows that are done together, with those around that reach into them
 REACH_PX = 2  # over which pixels tell each other's light
+_ROWS = 2 * REACH_PX + 1
 _UNSURE = np.float32(0.3**2)  # variance of a pixel's share of a seam, over the product of both shares
 _FEWEST = np.float32(1e-6)  # share of the pixels around that tell light
 _NONE, _ONE, _TINY = np.float32(0.0), np.float32(1.0), np.float32(1e-12)
@@ -47,6 +49,7 @@ def take_likeliest(
     """
     top, bottom, left, right = box
     count = (bottom - top + _STRIP - 1) // _STRIP
+    jump = scattering(count)
     for v in prange(len(labels)):
         if top <= v < bottom:
             out[v, :left] = _NONE
@@ -54,7 +57,7 @@ def take_likeliest(
         else:
             out[v] = _NONE
     for i in prange(count):
-        first = top + i * _STRIP
+        first = top + i * jump % count * _STRIP
         _take_strip(
             rgb, labels, near, mask, of_lamps, rho, blur, around, variances, noise, first,
             min(first + _STRIP, bottom), box, out,
@@ -72,41 +75,51 @@ def _take_strip(
     for v in range(first, last):
         out[v, box[2] : left] = _NONE
         out[v, right : box[3]] = _NONE
-    width = (right - left + CHUNK_PX - 1) // CHUNK_PX * CHUNK_PX
-    planes = np.zeros((last - first + 2 * REACH_PX, _PLANES, width + 2 * REACH_PX), np.float32)
-    columns, sums = np.empty((4, width + 2 * REACH_PX), np.float32), np.empty((4, width), np.float32)
+    width = (right - left + CHUNK_PX - 1) // CHUNK_PX
+    rows = np.empty((_ROWS, width, _PLANES * CHUNK_PX), np.float32)  # the last ones, chunk by chunk
+    columns = np.zeros((4, width * CHUNK_PX + 2 * REACH_PX), np.float32)
     line, room = np.empty((_PLANES + 4) * CHUNK_PX, np.float32), room_for(len(rho))
-    for v in range(above, below):
-        for u in range(left, right, CHUNK_PX):
-            stop = min(right - u, CHUNK_PX)
-            is_near, is_there = False, False
-            for j in range(stop):
-                is_near |= near[v, u + j]
-                is_there |= mask[v, u + j]
-            if not is_there:
+    room[1][:] = _ONE  # beyond the last pixel of a row, too, all is finite
+    for ahead in range(first - REACH_PX, last + REACH_PX):
+        rows[ahead % _ROWS] = _NONE
+        for u in range(left, right if above <= ahead < below else left, CHUNK_PX):
+            part = slice(u, min(u + CHUNK_PX, right))
+            inside = mask[ahead, part]
+            if not _any(inside):
                 continue
-            _split(rgb[v, u : u + stop], of_lamps[2], room[1])
-            if is_near:
-                there = fill_means(labels, v, u, blur, rho, room)
+            _split(rgb[ahead, part], of_lamps[2], room[1])
+            if _any(near[ahead, part]):
+                there = fill_means(labels, ahead, u, blur, rho, room)
                 fill_largest(room[0], there, rho, room[1])
                 _shift(of_lamps[0], of_lamps[1], variances[1], room[1])
             else:
-                _fill_plain(labels[v, u : u + stop], rho, room[1])
-            to = u - left + REACH_PX
-            _weigh(mask[v, u : u + stop], noise, variances[0], room[1], line)
-            for k in range(_PLANES):
-                planes[v - first + REACH_PX, k, to : to + stop] = line[k * CHUNK_PX : k * CHUNK_PX + stop]
-    for v in range(first, last):
-        _blur_columns(planes[v - first : v - first + 2 * REACH_PX + 1], around, columns)
-        _blur_row(columns, around, sums)
-        own = planes[v - first + REACH_PX, :, REACH_PX : REACH_PX + width]
-        for u in range(0, width, CHUNK_PX):
-            for k in range(_PLANES):
-                line[k * CHUNK_PX : (k + 1) * CHUNK_PX] = own[k, u : u + CHUNK_PX]
-            for k in range(4):
-                line[(_PLANES + k) * CHUNK_PX : (_PLANES + k + 1) * CHUNK_PX] = sums[k, u : u + CHUNK_PX]
+                _fill_plain(labels[ahead, part], rho, room[1])
+            _weigh(inside, noise, variances[0], room[1], rows[ahead % _ROWS, (u - left) // CHUNK_PX])
+        v = ahead - REACH_PX
+        if v < first:
+            continue
+        for i in range(width):
+            _blur_columns(rows, v, i, around, columns)
+        for i in range(width):
+            u = left + i * CHUNK_PX
+            _copy(rows[v % _ROWS, i], line)
+            _blur_row(columns, i * CHUNK_PX, around, line)
             _settle(line, of_lamps, around[3], variances)
-            _merge(line, of_lamps[3], out[v, left + u : min(left + u + CHUNK_PX, right)])
+            _merge(line, of_lamps[3], out[v, u : min(u + CHUNK_PX, right)])
+
+
+@njit(cache=True)
+def _any(flags: Any) -> bool:
+    found = False
+    for j in range(len(flags)):
+        found |= flags[j]
+    return found
+
+
+@njit(cache=True)
+def _copy(values: Any, out: Any) -> None:
+    for j in range(_PLANES * CHUNK_PX):
+        out[j] = values[j]
 
 
 @njit(cache=True)
@@ -211,30 +224,34 @@ def _weigh(mask: Any, noise: Any, steps: Any, work: Any, line: Any) -> None:
     for j in range(len(mask)):
         told = steps / (steps + line[_WEIGHT * CHUNK_PX + j])
         line[_WEIGHT * CHUNK_PX + j] = told if mask[j] else _NONE
+    for j in range(len(mask), CHUNK_PX):
+        line[_WEIGHT * CHUNK_PX + j] = _NONE
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def _blur_columns(rows: Any, weights: Any, out: Any) -> None:
-    """Fill sums down 2 REACH_PX + 1 rows of what pixels tell: light of three lamps, and their weights."""
+def _blur_columns(rows: Any, v: int, i: int, weights: Any, out: Any) -> None:
+    """Fill sums of a chunk down the rows around row v of what pixels tell: light of lamps, and weights."""
     _, w0, w1, w2, w3, w4, _ = weights
-    t0, t1, t2 = rows[0, _WEIGHT], rows[1, _WEIGHT], rows[2, _WEIGHT]
-    t3, t4 = rows[3, _WEIGHT], rows[4, _WEIGHT]
+    r0, r1, r2 = rows[(v - 2) % _ROWS, i], rows[(v - 1) % _ROWS, i], rows[v % _ROWS, i]
+    r3, r4 = rows[(v + 1) % _ROWS, i], rows[(v + 2) % _ROWS, i]
+    begin, t = i * CHUNK_PX + REACH_PX, _WEIGHT * CHUNK_PX
     for k in range(3):
-        y0, y1, y2, y3, y4, total = rows[0, k], rows[1, k], rows[2, k], rows[3, k], rows[4, k], out[k]
-        for j in range(len(total)):
-            a = w0 * t0[j] * y0[j] + w1 * t1[j] * y1[j] + w2 * t2[j] * y2[j]
-            total[j] = a + w3 * t3[j] * y3[j] + w4 * t4[j] * y4[j]
-    total = out[3]
-    for j in range(len(total)):
-        total[j] = w0 * t0[j] + w1 * t1[j] + w2 * t2[j] + w3 * t3[j] + w4 * t4[j]
+        total, y = out[k, begin : begin + CHUNK_PX], k * CHUNK_PX
+        for j in range(CHUNK_PX):
+            a = w0 * r0[t + j] * r0[y + j] + w1 * r1[t + j] * r1[y + j] + w2 * r2[t + j] * r2[y + j]
+            total[j] = a + w3 * r3[t + j] * r3[y + j] + w4 * r4[t + j] * r4[y + j]
+    total = out[3, begin : begin + CHUNK_PX]
+    for j in range(CHUNK_PX):
+        total[j] = w0 * r0[t + j] + w1 * r1[t + j] + w2 * r2[t + j] + w3 * r3[t + j] + w4 * r4[t + j]
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def _blur_row(columns: Any, weights: Any, out: Any) -> None:
+def _blur_row(columns: Any, begin: int, weights: Any, line: Any) -> None:
     _, w0, w1, w2, w3, w4, _ = weights
     for k in range(4):
-        c, total = columns[k], out[k]
-        for j in range(len(total)):
+        c = columns[k, begin : begin + CHUNK_PX + 2 * REACH_PX]
+        total = line[(_PLANES + k) * CHUNK_PX : (_PLANES + k + 1) * CHUNK_PX]
+        for j in range(CHUNK_PX):
             total[j] = w0 * c[j] + w1 * c[j + 1] + w2 * c[j + 2] + w3 * c[j + 3] + w4 * c[j + 4]
 
 

@@ -147,7 +147,7 @@ class _Blocks(NamedTuple):
     @property
     def lit(self) -> MaterialLabels:
         """(h, w), 7 where all three lamps arrive, else 0."""
-        return np.where(self.light[..., 0] > 0, ALL_LIT, 0).astype(np.uint8)
+        return (self.light[..., 0] > 0).view(np.uint8) * np.uint8(ALL_LIT)
 
     def rays(self, rays: RayGrid) -> RayGrid:
         """Return the rays through the middles of blocks, of those through pixels."""
@@ -202,16 +202,17 @@ def _surface_of(
         quadratics, targets = np.empty((6, *shape), np.float32), np.empty((2, *shape), np.float32)
         edges, right, agreement = np.empty((4, *shape), np.float32), *np.empty((2, *shape), np.float32)
         weights, lit = np.empty((4, *shape), np.float32), level.lit
+        seen = lit
         if times == 1:  # the first depth of a block that is new is a guess, too
-            lit[~start.known & (lit > 0)] = _GUESSED
+            seen = np.where(start.known, lit, np.minimum(lit, np.uint8(_GUESSED)))
         smooth = _SMOOTH / np.float32((level.factor // blocks.factor) ** 2)
         for _ in range(steps):
             _ask(level.light, level.labels, slopes, rays, lights, prices, smooth, quadratics, targets)
-            weights_kernel(quadratics, lit, inside, slopes, depth, softness, np.float32(NO_STEP), weights)
+            weights_kernel(quadratics, seen, inside, slopes, depth, softness, np.float32(NO_STEP), weights)
             edges_kernel(quadratics, targets, weights, edges, right)
             depth = solve_grid(grid_hierarchy(edges), right, depth, _TOLERANCE, _CYCLES)
             slopes_kernel(depth, weights, np.float32(STEEPEST), slopes, agreement)
-            softness, lit = np.float32(_STEP_SOFTNESS), level.lit
+            softness, seen = np.float32(_STEP_SOFTNESS), lit
         start = Surface(depth, slopes, inside, level.factor)
     return start
 

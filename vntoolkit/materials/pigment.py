@@ -90,8 +90,10 @@ def _means_of_blocks(contributions: FloatArray, chosen: Mask, factor: int) -> tu
     """
     h, w = (n // factor for n in chosen.shape)
     parts = np.s_[: h * factor, : w * factor]
-    s = contributions[parts].reshape(h, factor, w, factor, 3).mean(axis=(1, 3))
-    return s, np.ascontiguousarray(chosen[parts].reshape(h, factor, w, factor).all(axis=(1, 3)))
+    whole = chosen[parts].reshape(h, factor, w, factor).all(axis=(1, 3))
+    places = ((i, j) for i in range(factor) for j in range(factor))
+    total = sum(contributions[parts][i::factor, j::factor] for i, j in places)
+    return np.asarray(total / factor**2), np.ascontiguousarray(whole)
 
 
 def _in_chunks(s: FloatArray, mask: Mask) -> tuple[Single, Single]:

@@ -32,6 +32,7 @@ SERIES = tuple(np.float32(2.0 / k) for k in (1, 3, 5, 7, 9))
 _ROOT, _LOG_2 = np.float32(np.sqrt(2.0)), np.float32(np.log(2.0))
 _LEAST_STEP = 0.01  # of log s from pixel to pixel
 _MOST, _MOST_SIGMAS = 0.8, 1.2816  # quantile of the steps that is of shading, not of paint, and its distance
+_AROUND = 3  # pixels of a chain to each side that a change moves, but for a few
 _SWEEPS, _SETTLED = 4, 0.002  # at most, and share of the pixels that change when all is settled
 _BLURS_PX = (0.0, 0.5, 0.7, 1.0, 1.4)  # standard deviations that are tried
 _BLURRED_PX = 0.6  # from where a step of paint takes three pixels
@@ -141,15 +142,16 @@ class LineLabeller:
             self._variance = _shading_variance(self._values, self._lit, lamps, reach)
         steps, z = self._steps(), logs.astype(np.float32)
         found, extents, when = labels.copy(), _extents(active), np.zeros(labels.shape, np.uint8)
+        far = max(labels.shape) if sweeps == _SWEEPS else _AROUND
         for sweep in range(sweeps):
             changed = 0
             for k in range(4):
                 upright, first = k < 2, k % 2
                 changed += _decide_lines(
                     found, steps, unary, active, allowed, z, reach, upright, first,
-                    extents[0 if upright else 1], 4 * sweep + k + 1, when,
+                    extents[0 if upright else 1], 4 * sweep + k + 1, far, when,
                 )  # fmt: skip
-            if changed <= _SETTLED * active.sum():
+            if changed <= _SETTLED * np.count_nonzero(active):
                 break
         return found
 
@@ -382,15 +384,15 @@ def scattering(count: int) -> int:
 @njit(cache=True, parallel=True, error_model="numpy")
 def _decide_lines(
     labels: Any, steps: Any, unary: Any, active: Any, allowed: Any, z: Any, reach: int, upright: bool,
-    first: int, extents: Any, now: int, changed: Any,
+    first: int, extents: Any, now: int, far: int, changed: Any,
 ) -> int:  # fmt: skip
     """Give every second row or column its labels of least cost, those beside it being as they are.
 
     Return how many changed. upright: rows. A chain goes over every pixel, or leaps over blurred ones: then
     chains alternate. extents: (lines, 2), where the active pixels of each line begin and end. z, steps,
-    unary: in single precision. changed: (h, w), number of the call, counted from 1, in which a
-    label changed last. now: number of this call. The fourth before it was of the same lines; chains beside
-    which nothing changed since are left as they are, which is what deciding them again would do.
+    unary: in single precision. changed: (h, w), number of the call, counted from 1, in which a label changed
+    last. now: number of this call. The fourth before it was of the same lines; labels along whose chain
+    nothing changed since as near as `far` are left as they are: deciding them again would move hardly any.
     """
     h, w, count = unary.shape
     lines, length = (h, w) if upright else (w, h)
@@ -399,18 +401,19 @@ def _decide_lines(
         # Of every pixel: the labels that it may get, what each costs, and which of the pixel before it needs.
         number, kinds = np.zeros(length, np.int64), np.empty((length, count), np.int64)
         total, source = np.empty((length, count), np.float32), np.zeros((length, count), np.int64)
+        waits = np.ones(length, np.bool_)
         for line in range(first + 2 * part, lines, 2 * _SHARES):
             begin, end = extents[line]
+            if now > 4 and not _find_waiting(changed, line, reach, upright, now - 4, far, waits):
+                continue
             for offset in range(reach):
                 t = begin + offset
                 while t < end:
                     start = t
-                    while t < end and (active[line, t] if upright else active[t, line]):
+                    while t < end and waits[t] and (active[line, t] if upright else active[t, line]):
                         t += reach
                     if t == start:
                         t += reach
-                        continue
-                    if now > 4 and not _is_touched(changed, line, start, t, reach, upright, now - 4):
                         continue
                     _decide_chain(
                         labels, steps, unary, allowed, z, reach, upright, line, start, t, number, kinds,
@@ -490,23 +493,24 @@ def _add_change(step: Any, sign: Any, n: int, kinds: Any, z: Any, seam: Any, fou
 
 
 @njit(cache=True)
-def _is_touched(
-    changed: Any, line: int, start: int, stop: int, reach: int, upright: bool, since: int
+def _find_waiting(
+    changed: Any, line: int, reach: int, upright: bool, since: int, far: int, waits: Any
 ) -> bool:
-    """True where a label of a chain, or one that it is decided beside, changed after the chain was decided.
+    """Fill where on a line labels wait to be decided again; return whether any does.
 
-    since: number of the call that decided it, in which other chains of its line may have changed later.
+    They do near a label that changed, on the line or beside it, after call `since`, which decided the line.
     changed: see `_decide_lines`.
     """
-    h, w = changed.shape
-    lines, length = (h, w) if upright else (w, h)
-    for at in (line, line - reach, line + reach):
+    lines, length, is_any = changed.shape[0 if upright else 1], len(waits), False
+    waits[:] = False
+    for at in (line - reach, line, line + reach):
         if 0 <= at < lines:
-            for t in range(max(start - reach, 0), min(stop + 1, length)):
-                when = changed[at, t] if upright else changed[t, at]
-                if when > since or (when == since and (t - start) % reach != 0):
-                    return True
-    return False
+            for t in range(length):
+                if (changed[at, t] if upright else changed[t, at]) > since:
+                    is_any = True
+                    for k in range(max(t - far * reach, t % reach), min(t + far * reach + 1, length), reach):
+                        waits[k] = True
+    return is_any
 
 
 # Blur.

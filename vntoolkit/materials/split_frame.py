@@ -117,8 +117,8 @@ def noise_of(rgb: FloatArray, inside: Mask) -> Vector3:
     if not whole.any():
         return np.full(3, _LEAST_NOISE)
     half = max(1, int(whole.sum()) // 2)
-    found = np.partition(both[whole], half - 1, axis=0)[:half]
-    return np.maximum(np.sqrt(np.mean(found**2, axis=0)) / _OF_INNER_HALF / 6.0, _LEAST_NOISE)
+    found = np.partition(np.ascontiguousarray(both[whole].T), half - 1, axis=1)[:, :half]
+    return np.maximum(np.sqrt(np.mean(found**2, axis=1)) / _OF_INNER_HALF / 6.0, _LEAST_NOISE)
 
 
 @njit(cache=True, parallel=True)
