@@ -125,7 +125,7 @@ def test_perspective_rays_lead_to_the_lamp() -> None:
     height, width, focal, near, far = 60, 90, 80.0, 1.0, 1.12
     matrix = np.array([[focal, 0.0, 44.5], [0.0, focal, 29.5], [0.0, 0.0, 1.0]])
     camera = Camera(model=CameraModel.PINHOLE, width=width, height=height, matrix=matrix)
-    lamp = np.array([-0.8, 0.3, -1.0]) / np.linalg.norm([-0.8, 0.3, -1.0])
+    lamp = np.array([-0.8, 0.1, -1.0]) / np.linalg.norm([-0.8, 0.1, -1.0])
     # the rim: the column EDGE - 0.5 of the near plane
     u, v = np.meshgrid(np.arange(width), np.arange(height))
     points = np.stack([(u - 44.5) / focal, (v - 29.5) / focal, np.ones_like(u)], axis=-1) * far
@@ -141,3 +141,16 @@ def test_perspective_rays_lead_to_the_lamp() -> None:
     depth = DepthIntegrator(camera).integrate(normal_map, steps).depth
     ratio = np.median(depth[:, EDGE + 10 :]) / np.median(depth[:, :EDGE])
     assert ratio - 1.0 == pytest.approx(far / near - 1.0, rel=0.15)
+
+
+def test_border_along_the_light_is_no_rim() -> None:
+    """A shadow's side, where what throws it ends out of sight: the lit plane beside it is the same plane."""
+    mask, camera = np.ones(SHAPE, np.bool_), orthographic()
+    labels = shadowed(EDGE, EDGE + 12)
+    labels[30:] = 7  # lit below; the lamp stands on the left and a little below
+    lamp = np.array([-0.5, 0.2, -1.0]) / np.linalg.norm([-0.5, 0.2, -1.0])
+    steps = found(labels, lamp, mask, camera)
+    assert steps is not None
+    rims = ~steps.down
+    assert np.all(steps.columns[rims] == EDGE - 1)
+    assert np.count_nonzero(~rims) <= 1  # in the corner both are near

@@ -35,6 +35,9 @@ from vntoolkit.native import njit
 
 _FACING = np.float32(0.1)  # cosine to the lamp above which a surface in the dark has a shadow cast upon it
 _SHARP = np.float32(0.2)  # … above which the place where the light begins again is known to a pixel
+# Beyond a shadow's border the light may be on the same surface, where what throws the shadow stands off it.
+_STRAIGHT = np.float32(0.7)  # cosine to the lamp's way below which a border that faces the lamp …
+_GRAZING = np.float32(0.35)  # … by more than this cosine is no rim
 _STEEPEST = np.float32(8.0)  # slope of a pixel, by which a rim that is seen from the side counts
 _UNIT_VARIANCE = math.tan(math.radians(12.0)) ** 2  # of a slope, in squared pixels, that a weight divides
 _LENGTH_DOUBT_PX = np.float32(
@@ -254,8 +257,10 @@ def _step(
     step_u, step_v, stride, rise = _way(affine, perspective, lamp, v, u)
     if rise <= zero:
         return zero, zero
-    if labels[y, x] & bit and _way_to_light(labels, bit, mask, v, u, y, x, step_u, step_v) <= zero:
-        return zero, zero
+    if labels[y, x] & bit:
+        along = _along_light(labels, bit, mask, v, u, y, x, step_u, step_v)
+        if along <= zero or (along < _STRAIGHT and _cosine(normals, lamp, y, x) > _GRAZING):
+            return zero, zero
     # away from the lamp, to the end of the shadow; a normal that does not face the lamp there is wrong
     slopes, known, count, at_v, at_u = zero, zero, zero, v, u
     while _is_dark(labels, bit, mask, at_v, at_u) and under[at_v, at_u]:
@@ -299,14 +304,17 @@ def _slope(
 
 
 @njit(cache=True, error_model="numpy")
-def _way_to_light(
-    labels: Any, bit: Any, mask: Any, v: int, u: int, y: int, x: int, along_u: Any, along_v: Any
+def _along_light(
+    labels: Any, bit: Any, mask: Any, v: int, u: int, y: int, x: int, step_u: Any, step_v: Any
 ) -> Any:
-    """Return how far the light beside the edge between two pixels lies on the lamp's side; unit free."""
+    """Return the cosine between the way to the lamp and that to the light beside the edge of two pixels."""
     h, w = mask.shape
-    total = np.float32(0.0)
-    for j in range(max(min(v, y) - 2, 0), min(max(v, y) + 3, h)):
-        for i in range(max(min(u, x) - 2, 0), min(max(u, x) + 3, w)):
+    total_u, total_v = np.float32(0.0), np.float32(0.0)
+    above, beside = min(v, y, h - 1 - max(v, y), 2), min(u, x, w - 1 - max(u, x), 2)  # as far on either side
+    for j in range(min(v, y) - above, max(v, y) + above + 1):
+        for i in range(min(u, x) - beside, max(u, x) + beside + 1):
             if mask[j, i] and labels[j, i] & bit:
-                total += along_u * (np.float32(2 * i - u - x)) + along_v * (np.float32(2 * j - v - y))
-    return total
+                total_u += np.float32(2 * i - u - x)
+                total_v += np.float32(2 * j - v - y)
+    lengths = np.sqrt((total_u * total_u + total_v * total_v) * (step_u * step_u + step_v * step_v))
+    return (total_u * step_u + total_v * step_v) / max(lengths, np.float32(1e-6))
