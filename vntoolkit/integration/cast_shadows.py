@@ -36,7 +36,7 @@ from vntoolkit.native import njit
 _FACING = np.float32(0.1)  # cosine to the lamp above which a surface in the dark has a shadow cast upon it
 _SHARP = np.float32(0.2)  # … above which the place where the light begins again is known to a pixel
 # Beyond a shadow's border the light may be on the same surface, where what throws the shadow stands off it.
-_STRAIGHT = np.float32(0.7)  # cosine to the lamp's way below which a border that faces the lamp …
+_STRAIGHT = np.float32(0.5)  # cosine to the lamp's way below which a border that faces the lamp …
 _GRAZING = np.float32(0.35)  # … by more than this cosine is no rim
 _STEEPEST = np.float32(8.0)  # slope of a pixel, by which a rim that is seen from the side counts
 _UNIT_VARIANCE = math.tan(math.radians(12.0)) ** 2  # of a slope, in squared pixels, that a weight divides
