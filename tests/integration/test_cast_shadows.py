@@ -148,7 +148,7 @@ def test_border_along_the_light_is_no_rim() -> None:
     mask, camera = np.ones(SHAPE, np.bool_), orthographic()
     labels = shadowed(EDGE, EDGE + 12)
     labels[30:] = 7  # lit below; the lamp stands on the left and a little below
-    lamp = np.array([-0.5, 0.2, -1.0]) / np.linalg.norm([-0.5, 0.2, -1.0])
+    lamp = np.array([-0.5, 0.1, -1.0]) / np.linalg.norm([-0.5, 0.1, -1.0])
     steps = found(labels, lamp, mask, camera)
     assert steps is not None
     rims = ~steps.down

@@ -40,9 +40,7 @@ _STRAIGHT = np.float32(0.5)  # cosine to the lamp's way below which a border tha
 _GRAZING = np.float32(0.35)  # … by more than this cosine is no rim
 _STEEPEST = np.float32(8.0)  # slope of a pixel, by which a rim that is seen from the side counts
 _UNIT_VARIANCE = math.tan(math.radians(12.0)) ** 2  # of a slope, in squared pixels, that a weight divides
-_LENGTH_DOUBT_PX = np.float32(
-    1.0
-)  # standard deviation of a shadow's length: half a pixel or more at each end
+_LENGTH_DOUBT_PX = np.float32(1.0)  # standard deviation of a shadow's length, both ends together
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
