@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numba import prange
 
 from vntoolkit.arrays import (
     Array,
@@ -146,7 +147,7 @@ def steps_from_shadows(
     )
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, parallel=True, error_model="numpy")
 def _cast_upon(
     labels: Any, bit: Any, normals: Any, mask: Any, lamp: Any, affine: Any, perspective: Any
 ) -> Any:
@@ -158,7 +159,7 @@ def _cast_upon(
     """
     h, w = mask.shape
     out = np.zeros((h, w), np.bool_)
-    for v in range(h):
+    for v in prange(h):
         for u in range(w):
             if not mask[v, u] or labels[v, u] & bit:
                 continue
@@ -166,11 +167,13 @@ def _cast_upon(
             if rise <= np.float32(0.0):
                 continue
             back = 0
-            while _is_dark(labels, bit, mask, round(v - (back + 1) * step_v), round(u - (back + 1) * step_u)):
+            while _is_dark(
+                labels, bit, mask, _nearest(v - (back + 1) * step_v), _nearest(u - (back + 1) * step_u)
+            ):
                 back += 1
             score, best, divide, i = 0, 0, 0, -back
             while True:
-                y, x = round(v + i * step_v), round(u + i * step_u)
+                y, x = _nearest(v + i * step_v), _nearest(u + i * step_u)
                 if not _is_dark(labels, bit, mask, y, x):
                     break
                 i += 1
@@ -215,6 +218,11 @@ def _steps(
         )  # fmt: skip
         steps[i] = step if v < y or u < x else -step
     return steps, variances
+
+
+@njit(cache=True, forceinline=True)
+def _nearest(place: Any) -> Any:
+    return int(np.floor(place + np.float32(0.5)))
 
 
 @njit(cache=True, forceinline=True, error_model="numpy")
@@ -266,7 +274,7 @@ def _step(
             slopes += _slope(normals, affine, perspective, at_v, at_u, step_u, step_v)
             known += one
         count += one
-        at_v, at_u = round(v - count * step_v), round(u - count * step_u)
+        at_v, at_u = _nearest(v - count * step_v), _nearest(u - count * step_u)
     if known == zero:
         return zero, zero
     slopes *= count / known
@@ -280,7 +288,7 @@ def _step(
         count += one
         ahead += one
         best = max(best, -rise * stride * count - slopes)
-        at_v, at_u = round(y + ahead * step_v), round(x + ahead * step_u)
+        at_v, at_u = _nearest(y + ahead * step_v), _nearest(x + ahead * step_u)
     turned = (one + rise * rise) * doubt * stride * count
     variance = (rise * _LENGTH_DOUBT_PX) ** 2 + turned * turned
     if best >= zero or best * best < np.float32(4.0) * variance:
