@@ -39,6 +39,7 @@ _SHARP = np.float32(0.2)  # … above which the place where the light begins aga
 # Beyond a shadow's border the light may be on the same surface, where what throws the shadow stands off it.
 _STRAIGHT = np.float32(0.5)  # cosine to the lamp's way below which a border that faces the lamp …
 _GRAZING = np.float32(0.35)  # … by more than this cosine is no rim
+_OUTLINE_PX = 2  # a surface turns out of sight within so many pixels, and what its normals say is not sure
 _STEEPEST = np.float32(8.0)  # slope of a pixel, by which a rim that is seen from the side counts
 _UNIT_VARIANCE = math.tan(math.radians(12.0)) ** 2  # of a slope, in squared pixels, that a weight divides
 _LENGTH_DOUBT_PX = np.float32(1.0)  # standard deviation of a shadow's length, both ends together
@@ -191,11 +192,11 @@ def _rims(labels: Any, bit: Any, mask: Any, under: Any) -> Any:
     found, count = np.empty((256, 4), np.int32), 0
     for v in range(h):
         for u in range(w):
-            if not under[v, u]:
+            if not under[v, u] or not _is_inside(mask, v, u):
                 continue
             for dv, du in ((0, 1), (1, 0), (0, -1), (-1, 0)):
                 y, x = v + dv, u + du
-                if not (0 <= y < h and 0 <= x < w) or not mask[y, x] or under[y, x]:
+                if not _is_inside(mask, y, x) or under[y, x]:
                     continue
                 if count == len(found):
                     found = np.concatenate((found, np.empty_like(found)))
@@ -218,6 +219,15 @@ def _steps(
         )  # fmt: skip
         steps[i] = step if v < y or u < x else -step
     return steps, variances
+
+
+@njit(cache=True, forceinline=True)
+def _is_inside(mask: Any, v: int, u: int) -> Any:
+    """Whether a place is not beside the outline."""
+    d = _OUTLINE_PX
+    if not (d <= v < len(mask) - d and d <= u < mask.shape[1] - d):
+        return 0 <= v < len(mask) and 0 <= u < mask.shape[1] and mask[v, u]
+    return mask[v, u] and mask[v - d, u] and mask[v + d, u] and mask[v, u - d] and mask[v, u + d]
 
 
 @njit(cache=True, forceinline=True)
