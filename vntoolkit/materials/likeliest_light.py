@@ -4,7 +4,8 @@ Divided by its reflectance, a pixel tells the light on it. Noise makes that unce
 does the mixture beside a seam: where a seam runs is known to a part of a pixel, and for each lamp apart,
 since a Bayer pattern sees each elsewhere. But what is printed on a surface is no relief: light goes on from
 the pixels around, as evenly as inside a material. And normals have length 1, as far as they do not scatter.
-All of these are weighed by their variances. Loops go along rows, many pixels at a time: their arrays are
+All of these are weighed by their variances. What a Bayer pattern left out is interpolated from light, not
+from colours (`mosaic`). Loops go along rows, many pixels at a time: their arrays are
 planes in single precision.
 """
 
@@ -16,6 +17,8 @@ import numpy as np
 from numba import prange
 
 from vntoolkit.materials.mixtures import CHUNK_PX, fill_largest, fill_means, places_in_room, room_for
+from vntoolkit.materials.mosaic import REACH_PX as BETWEEN_PX
+from vntoolkit.materials.mosaic import interpolate, take_measured
 from vntoolkit.materials.reflectance import CAP
 from vntoolkit.native import njit
 
@@ -35,15 +38,15 @@ _LIGHT, _FIRST, _SECOND, _OWN, _OTHER = places_in_room()
 @njit(cache=True, parallel=True, error_model="numpy")
 def take_likeliest(
     rgb: Any, labels: Any, near: Any, mask: Any, of_lamps: Any, rho: Any, blur: Any, around: Any,
-    variances: Any, noise: Any, box: Any, out: Any,
+    variances: Any, noise: Any, red: Any, box: Any, out: Any,
 ) -> None:  # fmt: skip
     """Fill out (h, w, 3), colours as they would be in the calibration material, within a box; 0 beyond.
 
     rgb: (h, w, 3). labels: (h, w). near: (h, w), pixels that may be mixtures. mask: (h, w), pixels that tell
     others' light. of_lamps: w, L⁻¹, split and its inverse. rho: (m, 3). blur, around: weights of
     `wide_weights`, of the picture's blur in full and REACH_PX to either side. variances: of the step of log
-    light from pixel to pixel, and of normals' lengths. noise: (3,), variance of the lamps' contributions. All
-    numbers in single precision.
+    light from pixel to pixel, and of normals' lengths. noise: (3,), variance of the lamps' contributions.
+    red: of `red_of_mosaic`; (-1, -1) where every pixel measured all colours. Numbers in single precision.
     """
     top, bottom, left, right = box
     count = (bottom - top + _STRIP - 1) // _STRIP
@@ -56,7 +59,7 @@ def take_likeliest(
     for i in prange(count):
         first = top + i * _STRIP
         _take_strip(
-            rgb, labels, near, mask, of_lamps, rho, blur, around, variances, noise, first,
+            rgb, labels, near, mask, of_lamps, rho, blur, around, variances, noise, red, first,
             min(first + _STRIP, bottom), box, out,
         )  # fmt: skip
 
@@ -64,27 +67,30 @@ def take_likeliest(
 @njit(cache=True, error_model="numpy")
 def _take_strip(
     rgb: Any, labels: Any, near: Any, mask: Any, of_lamps: Any, rho: Any, blur: Any, around: Any,
-    variances: Any, noise: Any, first: int, last: int, box: Any, out: Any,
+    variances: Any, noise: Any, red: Any, first: int, last: int, box: Any, out: Any,
 ) -> None:  # fmt: skip
-    top, bottom, left, right = box
-    above, below = max(first - REACH_PX, top), min(last + REACH_PX, bottom)
-    left, right = _extent(mask, above, below, left, right)
+    h, w = labels.shape
+    beyond = BETWEEN_PX if red[0] >= 0 else 0
+    reach = REACH_PX + beyond
+    above, below = max(first - reach, 0), min(last + reach, h)
+    left, right = _extent(mask, max(above, box[0]), min(below, box[1]), box[2], box[3])
     for v in range(first, last):
         out[v, box[2] : left] = _NONE
         out[v, right : box[3]] = _NONE
-    width = (right - left + CHUNK_PX - 1) // CHUNK_PX * CHUNK_PX
-    planes = np.zeros((last - first + 2 * REACH_PX, _PLANES, width + 2 * REACH_PX), np.float32)
+    begin, end = max(left - beyond, 0), min(right + beyond, w)
+    width = (end - begin + CHUNK_PX - 1) // CHUNK_PX * CHUNK_PX
+    planes = np.zeros((last - first + 2 * reach, _PLANES, width + 2 * REACH_PX), np.float32)
+    measured = np.zeros((len(planes) if beyond else 0, width + 2 * REACH_PX), np.float32)
     columns, sums = np.empty((4, width + 2 * REACH_PX), np.float32), np.empty((4, width), np.float32)
     line, room = np.empty((_PLANES + 4) * CHUNK_PX, np.float32), room_for(len(rho))
     for v in range(above, below):
-        for u in range(left, right, CHUNK_PX):
-            stop = min(right - u, CHUNK_PX)
-            is_near, is_there = False, False
+        row = v - first + reach
+        for u in range(begin, end, CHUNK_PX):
+            stop, is_near = min(end - u, CHUNK_PX), False
+            if not _is_there(mask, v, u, stop, beyond):
+                continue
             for j in range(stop):
                 is_near |= near[v, u + j]
-                is_there |= mask[v, u + j]
-            if not is_there:
-                continue
             _split(rgb[v, u : u + stop], of_lamps[2], room[1])
             if is_near:
                 there = fill_means(labels, v, u, blur, rho, room)
@@ -92,21 +98,55 @@ def _take_strip(
                 _shift(of_lamps[0], of_lamps[1], variances[1], room[1])
             else:
                 _fill_plain(labels[v, u : u + stop], rho, room[1])
-            to = u - left + REACH_PX
+            to = u - begin + REACH_PX
             _weigh(mask[v, u : u + stop], noise, variances[0], room[1], line)
             for k in range(_PLANES):
-                planes[v - first + REACH_PX, k, to : to + stop] = line[k * CHUNK_PX : k * CHUNK_PX + stop]
+                planes[row, k, to : to + stop] = line[k * CHUNK_PX : k * CHUNK_PX + stop]
+            if beyond:
+                colour, odd = _own_colour(v, u, red)
+                take_measured(line, CHUNK_PX, of_lamps[3], colour, odd, measured[row, to : to + stop])
+    if beyond:
+        for v in range(max(first - REACH_PX, BETWEEN_PX), min(last + REACH_PX, h - BETWEEN_PX)):
+            row, shift = v - first + reach, REACH_PX - begin
+            colour, odd = _own_colour(v, begin - REACH_PX, red)
+            interpolate(
+                measured[row - BETWEEN_PX : row + BETWEEN_PX + 1], of_lamps[2], colour, odd,
+                max(BETWEEN_PX + shift, BETWEEN_PX), min(w - BETWEEN_PX + shift, width + REACH_PX),
+                planes[row],
+            )  # fmt: skip
     for v in range(first, last):
-        _blur_columns(planes[v - first : v - first + 2 * REACH_PX + 1], around, columns)
+        row = v - first + reach
+        _blur_columns(planes[row - REACH_PX : row + REACH_PX + 1], around, columns)
         _blur_row(columns, around, sums)
-        own = planes[v - first + REACH_PX, :, REACH_PX : REACH_PX + width]
+        own = planes[row, :, REACH_PX : REACH_PX + width]
         for u in range(0, width, CHUNK_PX):
             for k in range(_PLANES):
                 line[k * CHUNK_PX : (k + 1) * CHUNK_PX] = own[k, u : u + CHUNK_PX]
             for k in range(4):
                 line[(_PLANES + k) * CHUNK_PX : (_PLANES + k + 1) * CHUNK_PX] = sums[k, u : u + CHUNK_PX]
             _settle(line, of_lamps, around[3], variances)
-            _merge(line, of_lamps[3], out[v, left + u : min(left + u + CHUNK_PX, right)])
+            start, stop = max(begin + u, left), min(begin + u + CHUNK_PX, right)
+            if start < stop:
+                _merge(line[start - begin - u :], of_lamps[3], out[v, start:stop])
+
+
+@njit(cache=True)
+def _own_colour(v: int, u: int, red: Any) -> Any:
+    """Return which of red and blue, 0 or 2, a row measures, and 1 where the pixel at u measured green."""
+    is_blue = (v + red[0]) % 2
+    return 2 * is_blue, (u + red[1] + is_blue) % 2
+
+
+@njit(cache=True)
+def _is_there(mask: Any, v: int, u: int, count: int, beyond: int) -> bool:
+    """True where a mask has a pixel in a part of a row, or beside it."""
+    found = mask[v, u]
+    if found:
+        return True
+    for a in range(max(v - beyond, 0), min(v + beyond + 1, len(mask))):
+        for j in range(max(u - beyond, 0), min(u + count + beyond, mask.shape[1])):
+            found |= mask[a, j]
+    return found
 
 
 @njit(cache=True)
