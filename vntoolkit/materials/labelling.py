@@ -24,7 +24,7 @@ from vntoolkit.materials.pixels import INDEPENDENT_PX, LineLabeller, MaterialLab
 from vntoolkit.materials.reflectance import CAP
 from vntoolkit.materials.region_lengths import Lengths, lengths_of
 from vntoolkit.materials.regions import SHADING_STEP, Regions, regions_of
-from vntoolkit.materials.relighting import relit
+from vntoolkit.materials.relighting import red_beside_seams, relit
 from vntoolkit.materials.split_frame import CELL, SplitFrame, block_size, blocks_moved, cells_of, split_frame
 from vntoolkit.native import njit
 from vntoolkit.photometry.frame import LinearFrame
@@ -86,6 +86,7 @@ class MaterialLabeller:
         self._coarse: LineLabeller | None = None
         self._beside_seams: BlurredLabels | None = None
         self._fine: BlurredLabels | None = None
+        self._red: tuple[int, int] | None = None
         self.turned_deg: npt.NDArray[np.float32] | None = None  # by paint that was taken out last
         self._plain: npt.NDArray[np.float32] | None = None
         self._surface: Surface | None = None
@@ -108,6 +109,7 @@ class MaterialLabeller:
             part = LinearFrame(rgb=frame.rgb[box], clipped=frame.clipped[box])
         else:
             part = self._leveller.frame_by_strength(frame, box)
+        is_first = self._split is None
         split = split_frame(part, self._response, inside, like=self._split)
         cells = cells_of(split.colours)
         moved = 0.0 if self._cells is None else blocks_moved(self._cells, cells)
@@ -116,6 +118,9 @@ class MaterialLabeller:
             return self.labels(frame, mask)
         self._cells = cells
         labels[box] = self._labels(part, inside, split, moved)
+        if is_first:
+            seen = frame, self._response, labels, self._reflectances
+            self._red = None if self.seams is None else red_beside_seams(*seen, self.seams, mask)
         return labels
 
     def _labels(self, frame: LinearFrame, mask: Mask, split: SplitFrame, moved: float) -> MaterialLabels:
@@ -154,7 +159,7 @@ class MaterialLabeller:
         mask: (h, w), where paint is told; None for everywhere. box: see `relit`.
         """
         self.turned_deg = None
-        mask = np.ones(labels.shape, np.bool_) if mask is None else mask
+        mask, seams = np.ones(labels.shape, np.bool_) if mask is None else mask, self.seams
         if self._pigments is not None and self._pigments.any() and mask.any():
             if self._plain is None or self._plain.shape != frame.rgb.shape:
                 self._plain = np.empty(frame.rgb.shape, np.float32)  # new ones would cost a frame 2 ms
@@ -162,12 +167,13 @@ class MaterialLabeller:
             around = (slice(0, len(mask)), slice(0, mask.shape[1])) if box is None else self._boxed(mask)
             paint = self._pigments, self._camera, self._plain, around, self._surface
             frame, self.turned_deg, self._surface = without_paint(*seen, *paint)
-        return relit(frame, self._response, labels, self._reflectances, seams=self.seams, mask=mask, box=box)
+            seams = seams and seams._replace(red=None)  # what is left is not what was measured
+        return relit(frame, self._response, labels, self._reflectances, seams=seams, mask=mask, box=box)
 
     @property
     def seams(self) -> Seams | None:
         """How pixels beside seams are mixtures; None before a frame is labelled, and for one material."""
-        return None if self._fine is None else self._fine.seams
+        return None if self._fine is None else self._fine.seams._replace(red=self._red)
 
     def left_at_seams(self, frame: LinearFrame, mask: Mask, labels: MaterialLabels) -> float:
         """Return the share of the steps of normals at seams that remains, against one material all over.
