@@ -107,9 +107,9 @@ def steps_from_shadows(
 ) -> DepthSteps | None:
     """Find the steps at the rims of what throws shadows; None where there are none.
 
-    labels: (h, w), bit k set where lamp k arrives.
-    lamp_at: returns unit vectors (n, 3) to lamp k at pixels (n, 2). doubts: (3,), the directions' standard
-    deviations in radians, infinite for a lamp that is not known.
+    labels: (h, w), bit k set where lamp k arrives. lamp_at: returns unit vectors (n, 3) to lamp k at pixels
+    (n, 2). doubts: (3,), the directions' standard deviations in radians, infinite for a lamp that is not
+    known.
     """
     normals, mask = np.asarray(normal_map.normals_in_camera, np.float32), normal_map.mask
     height, width = mask.shape
