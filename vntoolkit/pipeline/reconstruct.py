@@ -31,6 +31,7 @@ from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import with_near_lamps
 from vntoolkit.pipeline.block_work import Block, BlockWorker, ReconstructionJob
 from vntoolkit.pipeline.cluster import require_scheduler, run_blocks_on_cluster
+from vntoolkit.pipeline.found_lamps import with_found_lamps
 from vntoolkit.pipeline.frame_processor import FrameProcessor
 from vntoolkit.pipeline.measured_materials import measured_materials, refitted_materials, seeks_materials
 from vntoolkit.pipeline.options import SENSOR_PREFIX, MaterialSearch, option_values
@@ -163,6 +164,7 @@ def _prepared(
     earlier = manifests.read_manifest(root) if resumes else None
     if earlier is None and job.surface is not None:  # the materials are those of the reconstruction refined
         earlier = manifests.read_manifest(job.surface.result)
+    job = _with_lamps(job, capture, mattes, numbers, earlier)
     job, materials = resolve_options(job, capture, mattes, numbers, earlier)
     if seeks_materials(job) and job.surface is None:
         examined = _require_plausible(job, capture, mattes, numbers)
@@ -177,6 +179,23 @@ def _prepared(
         clear(root)
     manifests.write_manifest(root, manifest)
     return job, manifest, FrameLog(root)
+
+
+def _with_lamps(
+    job: ReconstructionJob,
+    capture: Capture,
+    mattes: Mattes,
+    numbers: range,
+    earlier: manifests.Manifest | None,
+) -> ReconstructionJob:
+    """Return the job with the lamps' colours where shadows tell them; as an earlier run found them."""
+    if earlier is None:
+        return with_found_lamps(job, capture, mattes, numbers)
+    response, stored = job.rig.response, earlier.rig.response
+    colours = None if stored is None else stored.light_colours
+    if response.light_colours is not None or colours is None:
+        return job
+    return replace(job, rig=replace(job.rig, response=replace(response, light_colours=np.array(colours))))
 
 
 def _missing_frames(capture: Capture, mattes: Mattes, numbers: range) -> list[FrameEntry]:
