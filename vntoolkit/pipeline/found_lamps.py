@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from vntoolkit.arrays import Matrix3, Vector3
-from vntoolkit.errors import BadCapture, BadRig
+from vntoolkit.errors import BadRig, VntError
 from vntoolkit.io.footage.captures import Capture
 from vntoolkit.io.footage.mattes import Mattes
 from vntoolkit.photometry.response import LightResponse
@@ -60,13 +60,13 @@ def _directions(
     there = [n for n in capture.present if n in numbers and not mattes.missing([n])]
     directions, doubts = np.eye(3), np.full(3, np.inf)
     for number in there[:: max(1, len(there) // _LOOKED_AT)][:_LOOKED_AT]:
-        encoded = capture.encoded(number)
-        processor = FrameProcessor(
-            job.rig, options, mattes.of(encoded), capture.background, with_errors=False
-        )
         try:
+            encoded = capture.encoded(number)
+            matte, background = mattes.of(encoded), capture.background
+            processor = FrameProcessor(job.rig, options, matte, background, with_errors=False)
             lamps = processor.normals(encoded).lamps
-        except BadCapture:  # said when its turn comes
+        except VntError as problem:  # said when its turn comes
+            logger.debug("lamps not looked for: %s", problem)
             continue
         if lamps is None:
             continue
