@@ -123,6 +123,8 @@ def _report(source: str, summary: ReconstructionSummary) -> None:
     rate = f" ({summary.done / summary.seconds:.1f} frames/s)" if summary.done > 1 else ""
     total = summary.frames + summary.lost
     print(f"{summary.folder}: {summary.done} of {total} frames done{resumed}{rate}")
+    if summary.found_lamps:
+        print("the rig does not hold the lamps' colours: they were found in the subject's shadows")
     if summary.error_deg is not None:
         print(f"expected error of the normals: {summary.error_deg:.1f} degrees, the median over the pixels")
     if summary.loss:

@@ -46,9 +46,6 @@ def with_found_lamps(
         found = replace(response, light_colours=np.round(colours, 6))
     except BadRig:  # mixtures of each other
         return job
-    logger.info(
-        "the lamps' colours are found in the subject's shadows: directions to %.0f degrees", worst_deg
-    )
     return replace(job, rig=replace(job.rig, response=found))
 
 

@@ -57,7 +57,8 @@ class ReconstructionSummary:
 
     lost: frames asked for that the video declares but does not hold. declared, came: frames that it
     declares, and that can be read. error_deg: expected error of the normals, the median over the
-    pixels and then over the frames asked for; None where it is not known.
+    pixels and then over the frames asked for; None where it is not known. found_lamps: whether the lamps'
+    colours, which the rig does not hold, were found in the subject's shadows.
     """
 
     folder: Path
@@ -70,6 +71,7 @@ class ReconstructionSummary:
     declared: int = 0
     came: int = 0
     error_deg: float | None = None
+    found_lamps: bool = False
 
     @property
     def loss(self) -> str:
@@ -107,6 +109,7 @@ def reconstruct(
     capture = job.open_capture()
     job.rig.require_background(job.background is not None)
     job.rig.require_size(capture.info.width, capture.info.height, job.source)
+    given = job.rig.response.light_colours
     numbers = frames.numbers(capture.info.frame_count)
     asked = frames.numbers(capture.info.promised_frame_count)
     mattes = job.open_mattes(capture)
@@ -146,6 +149,7 @@ def reconstruct(
         declared=capture.info.promised_frame_count,
         came=capture.info.frame_count,
         error_deg=error_deg,
+        found_lamps=given is None and job.rig.response.light_colours is not None,
     )
 
 
