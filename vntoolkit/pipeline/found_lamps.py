@@ -14,7 +14,6 @@ from vntoolkit.arrays import Matrix3, Vector3
 from vntoolkit.errors import BadRig, VntError
 from vntoolkit.io.footage.captures import Capture
 from vntoolkit.io.footage.mattes import Mattes
-from vntoolkit.photometry.response import LightResponse
 from vntoolkit.pipeline.block_work import ReconstructionJob
 from vntoolkit.pipeline.frame_processor import FrameProcessor
 from vntoolkit.pipeline.options import MaterialSearch, Product
@@ -67,11 +66,6 @@ def _directions(
             continue
         if lamps is None:
             continue
-        for k in np.flatnonzero(lamps.doubts < doubts):
-            directions[k], doubts[k] = _central(lamps.rows[k], job.rig.response), lamps.doubts[k]
+        better = lamps.doubts < doubts
+        directions[better], doubts[better] = lamps.central[better], lamps.doubts[better]
     return directions, doubts
-
-
-def _central(row: Vector3, response: LightResponse) -> Vector3:
-    towards: Vector3 = row @ response.matrix
-    return towards / np.linalg.norm(towards)

@@ -35,6 +35,12 @@ class LampDirections:
     rows: Matrix3
     doubts: Vector3
 
+    @property
+    def central(self) -> Matrix3:
+        """(3, 3), row k = unit vector to lamp k, in the camera frame, under the response at its centre."""
+        lamps: Matrix3 = self.rows @ self.response.matrix
+        return lamps / np.linalg.norm(lamps, axis=1, keepdims=True)
+
     def at(self, lamp: int, positions_px: Points2) -> FloatArray:
         """Return unit vectors (n, 3) from the surface at pixels (n, 2) to a lamp, in the camera frame."""
         matrices, _ = self.response.at(positions_px)
