@@ -18,6 +18,8 @@ if [ "${1:-}" != inside ]; then
     suite=${1:?usage: scripts/bare_machine.sh SUITE [demo] [test] [wheel] [walk]}
     shift
     [ "$(id -u)" = 0 ] || skip "only root can make one"
+    free_gb=$(df -Pk "${TMPDIR:-/tmp}" | awk 'NR == 2 { print int($4 / 1000000) }')
+    [ "$free_gb" -ge 6 ] || skip "it takes 6 GB of ${TMPDIR:-/tmp}, where $free_gb GB are free"
     command -v apt-get >/dev/null || skip "this machine has no apt-get, whose mirrors it would use"
     if ! command -v debootstrap >/dev/null; then
         { apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq debootstrap; } >/dev/null 2>&1 ||
