@@ -437,6 +437,7 @@ def freckled(seed: int = 0, noise: float = LEVEL) -> tuple[LinearFrame, np.ndarr
     return LinearFrame((light * mask[..., None]).astype(np.float32)), normals, mask
 
 
+@pytest.mark.slow
 def test_freckles_are_found_as_a_pigment_and_hardly_turn_normals() -> None:
     frame, normals, mask = freckled()
     values = find_materials([frame], [mask], RESPONSE, count=1)[0].reflectance.values[None]

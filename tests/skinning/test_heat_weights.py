@@ -146,6 +146,7 @@ def test_raised_arms_stretch_less_cloth_than_with_the_published_weights() -> Non
     assert share[Falloff.HEAT] < 0.4 * share[Falloff.INVERSE]
 
 
+@pytest.mark.slow
 def test_real_motion_stretches_less_cloth_than_with_the_published_weights(real_data: Path) -> None:
     sheet = sheet_seen_from_the_front(0.42)
     sheet = MeshSequence(template=sheet.template, vertices=sheet.vertices[:1], frame_rate_hz=60)
@@ -160,6 +161,7 @@ def test_real_motion_stretches_less_cloth_than_with_the_published_weights(real_d
         assert share[Falloff.HEAT] < 0.0005
 
 
+@pytest.mark.slow
 def test_sleeves_captured_as_one_with_the_trunk_are_cut_loose() -> None:
     touching, apart = sheet_seen_from_the_front(0.24), sheet_seen_from_the_front(0.42)
     web = dress(touching, raised_arms(90), DressOptions(max_stretch=0))

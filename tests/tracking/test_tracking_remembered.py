@@ -67,6 +67,7 @@ def test_relief_that_turns_into_another_is_followed(monkeypatch: pytest.MonkeyPa
     assert on_disc()[0] > 3.0
 
 
+@pytest.mark.slow
 def test_what_is_remembered_is_doubted_where_the_template_does_not_match(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -92,6 +92,7 @@ def test_what_an_occluder_hides_is_held_and_found_again(method: Tracker) -> None
     assert ended > 4.0 if method is Tracker.FLOW else ended < 0.5
 
 
+@pytest.mark.slow
 def test_what_is_hidden_stays_off_the_surface_before_it() -> None:
     video = WrinkledVideo(sway_px=2.0)
     tracker = SurfaceTracker(*video.maps(0), video.camera)
@@ -185,6 +186,7 @@ def test_a_jump_is_followed_however_far(jump_px: tuple[float, float]) -> None:
         assert np.percentile(error, 95) < 1.0
 
 
+@pytest.mark.slow
 def test_what_nothing_tells_of_does_not_run_away_and_is_said_to_be_lost() -> None:
     video = WrinkledVideo(bend=20.0, noise=0.01)  # a wave that travels over a smooth sheet without borders
     video.amplitude[:] = 0.0
