@@ -21,13 +21,15 @@ from vntoolkit.photometry.rig import FitQuality, Rig, SourceFile
 from vntoolkit.photometry.transfer import Transfer
 
 _EXPECTED = "a rig.json of `vntoolkit calibrate`"
-# 2 added response.variation, 3 gel, 4 response.material, 5 the gel's fourth degree; one without is as before
-RIG_VERSION = 5
+# 2 added response.variation, 3 gel, 4 response.material, 5 the gel's fourth degree, 6 the lamps' doubts;
+# one without is as before
+RIG_VERSION = 6
 _listed = BeforeValidator(lambda value: value.tolist() if isinstance(value, np.ndarray) else value)
 _Pair = Annotated[tuple[FiniteFloat, FiniteFloat], _listed]
 _Row = Annotated[tuple[FiniteFloat, FiniteFloat, FiniteFloat], _listed]
 _Matrix = Annotated[tuple[_Row, _Row, _Row], _listed]
 _Power = Annotated[int, Field(ge=0, le=3)]
+_Doubt = Annotated[FiniteFloat, Field(ge=0, le=90)]
 _Fraction = Annotated[FiniteFloat, Field(ge=0, le=1)]
 
 
@@ -113,6 +115,7 @@ def rig_from_entry(entry: RigFile) -> Rig:
             matrix=np.array(response.matrix),
             ambient=np.array(response.ambient),
             light_colours=None if response.light_colours is None else np.array(response.light_colours),
+            light_doubts_deg=None if response.light_doubts_deg is None else np.array(response.light_doubts_deg),
             variation=None if response.variation is None else _variation_from_entry(response.variation),
         ),
         transfer=Transfer(
@@ -131,12 +134,16 @@ def rig_from_entry(entry: RigFile) -> Rig:
 def entry_from_rig(rig: Rig) -> RigFile:
     """Return the rig as rig.json and the manifest store it."""
     response, variation = rig.response, rig.response.variation
+    version = 5 if rig.gel is not None else 4 if rig.material else 1 if variation is None else 2
     return RigFile(
-        version=5 if rig.gel is not None else 4 if rig.material else 1 if variation is None else 2,
+        version=version if response.light_doubts_deg is None else 6,
         camera=entry_from_camera(rig.camera),
         response=ResponseEntry.model_validate(
             {
-                **{name: getattr(response, name) for name in ("matrix", "ambient", "light_colours")},
+                **{
+                    name: getattr(response, name)
+                    for name in ("matrix", "ambient", "light_colours", "light_doubts_deg")
+                },
                 "material": rig.material or None,
                 "variation": None if variation is None else _entry_from_variation(variation),
             }
@@ -290,6 +297,11 @@ class ResponseEntry(Entry):
         default=None,
         description="Row k is the colour R, G, B of light k, full scale; left out where it is not known.",
     )
+    light_doubts_deg: Annotated[tuple[_Doubt, _Doubt, _Doubt], _listed] | None = Field(
+        default=None,
+        description="Standard deviations of the directions that light_colours leave to lights 0, 1, 2, where "
+        "shadows on a subject told them; left out for exact (version 6).",
+    )
     material: str | None = Field(
         default=None,
         max_length=200,
@@ -387,7 +399,7 @@ class SourceEntry(Entry):
 class RigFile(Entry):
     """A vntoolkit rig: camera, light response, colour encoding, and quality of the calibration."""
 
-    version: Literal[1, 2, 3, 4, 5] = Field(default=1, description="Version of this schema.")
+    version: Literal[1, 2, 3, 4, 5, 6] = Field(default=1, description="Version of this schema.")
     camera: CameraEntry
     response: ResponseEntry
     colour: ColourEntry = Field(default_factory=ColourEntry)

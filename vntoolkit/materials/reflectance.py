@@ -36,7 +36,7 @@ class Lamps(NamedTuple):
 
     split: (3, 3), colour to contributions of the lamps. haze: (3,), those of the ambient light. inverse:
     (3, 3), L⁻¹. noise: (3,), standard deviation of each contribution. mixing: (3, 3), split times the
-    standard deviation of the channels.
+    standard deviation of the channels. doubts: (3,), standard deviations of the lamps' directions, radians.
     """
 
     split: Matrix3
@@ -44,6 +44,7 @@ class Lamps(NamedTuple):
     inverse: Matrix3
     noise: Vector3
     mixing: Matrix3
+    doubts: Vector3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -51,12 +52,14 @@ class Reflectance:
     """What a material returns of each lamp, relative to the calibration material.
 
     values: (3,). covariance: (3, 3), of log values. error_deg: root mean square angle by which this turns the
-    normals that it was fitted on. residual: robust standard deviation of their lengths.
+    normals that it was fitted on. lamps_deg: the same, by what is not known of the lamps' directions.
+    residual: robust standard deviation of the normals' lengths.
     """
 
     values: Vector3
     covariance: Matrix3
     error_deg: float
+    lamps_deg: float
     residual: float
 
 
@@ -73,12 +76,14 @@ def lamps_from_response(response: LightResponse, noise: Vector3) -> Lamps:
         )
     split = response.contributions_from_rgb
     mixing = split * noise
+    doubts = np.zeros(3) if response.light_doubts_deg is None else np.radians(response.light_doubts_deg)
     return Lamps(
         split=split,
         haze=split @ response.ambient,
         inverse=np.linalg.inv(response.lights),
         noise=np.linalg.norm(mixing, axis=1),
         mixing=mixing,
+        doubts=doubts,
     )
 
 
@@ -89,11 +94,14 @@ def reflectance_from_fit(
     values = np.exp(log)
     normals = (contributions / values - lamps.haze) @ lamps.inverse.T
     lengths = np.maximum(np.linalg.norm(normals, axis=1), 1e-9)
+    normals, shares = normals / lengths[:, None], contributions / values
+    residual = 1.4826 * float(np.median(np.abs(lengths - 1.0)))
     return Reflectance(
         values=values,
         covariance=covariance,
-        error_deg=_error_deg(normals / lengths[:, None], contributions / values, lamps.inverse, covariance),
-        residual=1.4826 * float(np.median(np.abs(lengths - 1.0))),
+        error_deg=_error_deg(normals, shares, lamps.inverse, covariance),
+        lamps_deg=_error_of_lamps_deg(normals, shares, values, lamps, residual),
+        residual=residual,
     )
 
 
@@ -136,6 +144,33 @@ def _error_deg(normals: Points, shares: Points, inverse: Matrix3, covariance: Ma
     turns -= normals[:, :, None] * np.einsum("ni,nij->nj", normals, turns)[:, None, :]
     squares = np.einsum("nij,jk,nik->n", turns, covariance, turns)
     return float(np.degrees(np.sqrt(np.mean(squares))))
+
+
+def _error_of_lamps_deg(
+    normals: Points, shares: Points, values: Vector3, lamps: Lamps, residual: float
+) -> float:
+    """Root mean square turn of the normals under errors δL of the lamps' directions, M being known.
+
+    With D = diag(1/ρ) a normal is L⁻¹ D L M⁻¹ r. So δL turns it by L⁻¹ (D E D⁻¹ − E) L n with E = δL L⁻¹, and
+    element k, j of the bracket is E_kj (ρ_j/ρ_k − 1): 0 for the rig's own material. Then ρ is fitted, so that
+    lengths are 1 again, which turns normals once more.
+    """
+    if not lamps.doubts.any():
+        return 0.0
+    others = values / values[:, None] - 1.0  # k, j
+    turns = []
+    for k, lamp in enumerate(np.linalg.inv(lamps.inverse)):
+        strength = float(np.linalg.norm(lamp))
+        across = np.linalg.svd(lamp[None])[2][1:] * lamps.doubts[k] * strength  # where it may move to
+        of_k = shares @ (others[k][:, None] * (lamps.inverse.T @ across.T))
+        turns.append(lamps.inverse[:, k][None, :, None] * of_k[:, None, :])
+    turned = np.concatenate(turns, axis=2)  # (n, 3 of normal, 6 of the lamps)
+    of_log = -lamps.inverse[None] * shares[:, None, :]  # (n, 3 of normal, 3 of log ρ)
+    longer, longer_by_log = (np.einsum("ni,nij->nj", normals, each) for each in (turned, of_log))
+    prior = (residual / _PRIOR_SPREAD) ** 2 * np.eye(3)
+    turned -= of_log @ np.linalg.solve(longer_by_log.T @ longer_by_log + prior, longer_by_log.T @ longer)
+    turned -= normals[:, :, None] * np.einsum("ni,nij->nj", normals, turned)[:, None, :]
+    return float(np.degrees(np.sqrt(np.mean((turned**2).sum(axis=(1, 2))))))
 
 
 def _fit(

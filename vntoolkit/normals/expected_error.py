@@ -55,7 +55,7 @@ from vntoolkit.photometry.transfer import Transfer
 
 # Nine of ten angles of a two-dimensional normal distribution lie within √(2 ln 10) standard deviations.
 NINE_OF_TEN = 2.146
-_OF_NEARNESS = NINE_OF_TEN / math.sqrt(2.0)  # of a length in two dimensions
+OF_ANGLE = NINE_OF_TEN / math.sqrt(2.0)  # … and within 1.5 times the root of their mean square
 # Where all nine entries of M⁻¹ΔM have variance 1, the rotation in it has 1/2 about every axis.
 _OF_ROTATION = NINE_OF_TEN / math.sqrt(2.0)
 # The bounds of nine of ten pixels over each measured error, fitted on simulated scenes.
@@ -73,7 +73,7 @@ _KEPT = np.float32(1 / 8)  # … which is not all of it
 # The same, as the loops need it: squared, in degrees.
 _PER_NOISE = np.float32(np.degrees(NINE_OF_TEN) ** 2)
 _PER_TURN = np.float32(np.degrees(_OF_ELLIPSOID) ** 2)
-_PER_NEARNESS = np.float32(np.degrees(_OF_NEARNESS) ** 2)
+_PER_NEARNESS = np.float32(np.degrees(OF_ANGLE) ** 2)
 _PER_DEPARTURE = np.float32(np.degrees(_OF_LENGTH) ** 2)
 _PER_DEPARTURES = np.float32(np.degrees(_OF_LENGTHS) ** 2)
 _PER_HALF_WEIGHT = np.float32(1.0 / _HALF_WEIGHT_DEG)

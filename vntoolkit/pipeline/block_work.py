@@ -56,7 +56,8 @@ class ReconstructionJob:
     image, or video, folder or pattern of mattes, or None. matting: how these become masks. background: file
     or None. sensor: how samples of the sensor itself are read. reflectances: (m, 3), of materials relative
     to the rig's; empty for the rig's alone. pigments: (m, 3), along which log reflectances change, 0 for
-    none. surface: reflectances of a tracked surface, which count before those of the materials. nearness: of
+    none. errors_deg: (m,), root mean square angles by which the materials' errors turn normals. surface:
+    reflectances of a tracked surface, which count before those of the materials. nearness: of
     the lamps, by which the rig's M was made to change over the picture; 0 for not at all. blur_px: standard
     deviation of the picture's blur, which expected errors count; 0 for unknown. threads: for decoding; with
     1, reading and processing take turns, so that a worker is one core's. limits: on what any process reads.
@@ -75,6 +76,7 @@ class ReconstructionJob:
     sensor: SensorOptions = field(default_factory=SensorOptions)
     reflectances: tuple[tuple[float, float, float], ...] = ()
     pigments: tuple[tuple[float, float, float], ...] = ()
+    errors_deg: tuple[float, ...] = ()
     surface: TrackedReflectance | None = None
     nearness: float = 0.0
     blur_px: float = 0.0
@@ -147,6 +149,7 @@ class BlockWorker:
             self._capture.background,
             reflectances=job.reflectances,
             pigments=job.pigments,
+            errors_deg=job.errors_deg,
             painted=None if job.surface is None else PaintedSurface(job.surface, job.rig.response.central),
             blur_px=job.blur_px,
         )

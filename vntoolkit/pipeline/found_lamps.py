@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from vntoolkit.arrays import Matrix3, Vector3
+from vntoolkit.arrays import FloatArray
 from vntoolkit.errors import BadRig, VntError
 from vntoolkit.io.footage.captures import Capture
 from vntoolkit.io.footage.mattes import Mattes
@@ -18,9 +18,11 @@ from vntoolkit.pipeline.block_work import ReconstructionJob
 from vntoolkit.pipeline.frame_processor import FrameProcessor
 from vntoolkit.pipeline.options import MaterialSearch, Product
 from vntoolkit.shadows.detector import ShadowMethod
+from vntoolkit.shadows.lamp_directions import LampDirections, directions_from_unlit
 
 logger = logging.getLogger(__name__)
-_LOOKED_AT = 5  # frames, evenly spread
+_LOOKED_AT = 5  # frames, evenly spread, and where these do not tell all lamps, others between them …
+_AT_MOST = 10  # … within a second and a half at 640×480
 _SURE_DEG = 4.0  # standard deviation of a direction: M's rows of a camera that mixes lamps are off by 4 to 9
 _LEAST_LIGHT = -0.05  # of the strongest channel of a lamp: light is not negative
 
@@ -34,38 +36,38 @@ def with_found_lamps(
         return job
     if job.options.shadows is not ShadowMethod.ROBUST or job.options.materials is MaterialSearch.CALIBRATED:
         return job
-    directions, doubts = _directions(job, capture, mattes, numbers)
-    worst_deg = float(np.degrees(doubts.max()))
-    if worst_deg > _SURE_DEG:
+    lamps = _lamps(job, capture, mattes, numbers)
+    if lamps.doubts.max() > np.radians(_SURE_DEG):
         return job
-    colours = (response.matrix @ np.linalg.inv(directions)).T
+    colours = (response.matrix @ np.linalg.inv(lamps.central)).T
     if (colours < _LEAST_LIGHT * colours.max(axis=1, keepdims=True)).any():
         return job
+    doubts_deg = np.round(np.degrees(lamps.doubts), 3)
     try:
-        found = replace(response, light_colours=np.round(colours, 6))
+        found = replace(response, light_colours=np.round(colours, 6), light_doubts_deg=doubts_deg)
     except BadRig:  # mixtures of each other
         return job
     return replace(job, rig=replace(job.rig, response=found))
 
 
-def _directions(
-    job: ReconstructionJob, capture: Capture, mattes: Mattes, numbers: range
-) -> tuple[Matrix3, Vector3]:
-    """Return (3, 3) unit vectors to the lamps, each from the frame that tells it best, and their doubts."""
+def _lamps(job: ReconstructionJob, capture: Capture, mattes: Mattes, numbers: range) -> LampDirections:
+    """Return what the shadows of some frames together tell of the lamps."""
     options = replace(job.options, to=Product.DEPTH, materials=MaterialSearch.CALIBRATED)
     there = [n for n in capture.present if n in numbers and not mattes.missing([n])]
-    directions, doubts = np.eye(3), np.full(3, np.inf)
-    for number in there[:: max(1, len(there) // _LOOKED_AT)][:_LOOKED_AT]:
+    processor = FrameProcessor(job.rig, options, mattes.still, capture.background, with_errors=False)
+    unlit: list[FloatArray] = [np.empty((0, 3))] * 3
+    lamps = directions_from_unlit(unlit, job.rig.response)
+    step = -(-len(there) // _AT_MOST)
+    chosen = there[::step][::2] + there[::step][1::2]
+    for looked_at, number in enumerate(chosen):
+        if looked_at >= _LOOKED_AT and lamps.doubts.max() <= np.radians(_SURE_DEG):
+            break
         try:
             encoded = capture.encoded(number)
-            matte, background = mattes.of(encoded), capture.background
-            processor = FrameProcessor(job.rig, options, matte, background, with_errors=False)
-            lamps = processor.normals(encoded).lamps
+            seen = processor.unlit_by_lamp(encoded, mattes.of(encoded))
         except VntError as problem:  # said when its turn comes
             logger.debug("lamps not looked for: %s", problem)
             continue
-        if lamps is None:
-            continue
-        better = lamps.doubts < doubts
-        directions[better], doubts[better] = lamps.central[better], lamps.doubts[better]
-    return directions, doubts
+        unlit = [np.concatenate(pair) for pair in zip(unlit, seen, strict=True)]
+        lamps = directions_from_unlit(unlit, job.rig.response)
+    return lamps

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numba import prange
 
-from vntoolkit.arrays import BoolArray, Colours, LinearImage, Mask, VisibilityLabels
+from vntoolkit.arrays import BoolArray, Colours, FloatArray, LinearImage, Mask, VisibilityLabels
 from vntoolkit.checks import require_shape
 from vntoolkit.errors import BadCapture
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
@@ -35,7 +35,7 @@ from vntoolkit.pipeline.outputs import FrameResult
 from vntoolkit.pipeline.painted_surface import PaintedSurface
 from vntoolkit.shadows.contributions import brighter_than
 from vntoolkit.shadows.detector import ShadowDetector, ShadowMethod
-from vntoolkit.shadows.lamp_directions import LampDirections, directions_from_shadows
+from vntoolkit.shadows.lamp_directions import LampDirections, directions_from_shadows, unlit_by_lamp
 from vntoolkit.shadows.recovery import recover_surface
 
 _SAMPLED, _BINS = 4, 4096  # every fourth pixel of every fourth row tells how bright a subject is
@@ -59,12 +59,14 @@ class FrameProcessor:
         with_errors: bool = True,
         reflectances: Sequence[Sequence[float]] = (),
         pigments: Sequence[Sequence[float]] = (),
+        errors_deg: Sequence[float] = (),
         painted: PaintedSurface | None = None,
         blur_px: float = 0.0,
     ) -> None:
         """reflectances: (m, 3), of the subject's materials relative to the rig's; empty for the rig's alone.
-        pigments: (m, 3), along which log reflectances change, 0 for none. painted: a tracked surface whose
-        own reflectances count before these. blur_px: standard deviation of the picture's blur, 0 for unknown.
+        pigments: (m, 3), along which log reflectances change, 0 for none. errors_deg: (m,), root mean square
+        angles by which errors of the reflectances turn normals. painted: a tracked surface whose own
+        reflectances count before these. blur_px: standard deviation of the picture's blur, 0 for unknown.
 
         with_errors: whether normals and depth carry their expected errors; a live view has no time."""
         keep_freed_memory()
@@ -109,6 +111,7 @@ class FrameProcessor:
                 self._central, self._reflectances, np.array(pigments, dtype=np.float64).reshape(-1, 3),
                 self.camera, self._leveller,
             )  # fmt: skip
+            self._bounds_deg = (expected_error.OF_ANGLE * np.array(errors_deg or [0.0])).astype(np.float32)
             self._paints = encoded_from_linear(
                 colours_of(self._reflectances, self._central), Transfer(curve=TransferCurve.SRGB)
             )
@@ -213,6 +216,9 @@ class FrameProcessor:
             self._materials = self._labeller.labels(linear, self._mask)
             linear = self._labeller.relit(linear, self._materials, self._mask, box_of(self._mask))
             turned_deg = self._labeller.turned_deg
+            if self._bounds_deg.any():
+                of_material = self._bounds_deg[self._materials]
+                turned_deg = of_material if turned_deg is None else np.hypot(turned_deg, of_material)
         if self._painted is not None:
             linear = self._painted.relit(filmed, linear, frame.number, self._materials)
             # the mean over frames is in doubt as what one frame tells: frames err alike
@@ -260,16 +266,29 @@ class FrameProcessor:
             lamps=lamps,
         )
 
+    def unlit_by_lamp(self, frame: EncodedFrame, matte: Mask | None = None) -> list[FloatArray]:
+        """Return for each lamp (n, 3), what tells its direction: see `shadows/lamp_directions.py`."""
+        self._look_inside(matte)
+        linear = self.linear(frame)
+        level = linear if self._leveller is None else self._leveller.frame(linear)
+        labels, mask, _ = self._shadows(linear, level)
+        return unlit_by_lamp(level, labels, self._central, mask)
+
+    def _shadows(self, linear: LinearFrame, frame: LinearFrame) -> tuple[VisibilityLabels, Mask, LinearFrame]:
+        """Return labels, where they hold, and what they were found in. frame: as the central M forms it."""
+        inversion, seen = self._options.inversion, self.by_strength(linear)
+        darkest = inversion.darkest * inversion.relative_albedo
+        mask = brighter_than(frame, self._central, darkest, self._mask)
+        if inversion.clipped_factor == 0.0:
+            mask &= ~frame.clipped
+        return self._detector.labels(seen, mask), mask, seen
+
     def _normals_under_shadow(
         self, linear: LinearFrame, frame: LinearFrame
     ) -> tuple[NormalMap, VisibilityLabels, bool]:
         """Find shadows, then normals; whether by a surface. frame: `linear` as the central M forms it."""
         response, inversion = self._central, self._options.inversion
-        seen = self.by_strength(linear)
-        mask = brighter_than(frame, response, inversion.darkest * inversion.relative_albedo, self._mask)
-        if inversion.clipped_factor == 0.0:
-            mask &= ~frame.clipped
-        labels = self._detector.labels(seen, mask)
+        labels, mask, seen = self._shadows(linear, frame)
         surface = self._detector.surface
         if surface is not None and seen is not frame:
             surface = replace(surface, image=None)

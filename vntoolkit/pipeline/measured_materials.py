@@ -328,7 +328,7 @@ def _entry(material: Material, pigment: Vector3 | None) -> MaterialEntry:
     first, second, third = (_short(value) for value in fitted.values)
     return MaterialEntry(
         reflectance=(first, second, third),
-        error_deg=round(fitted.error_deg, 2),
+        error_deg=round(float(np.hypot(fitted.error_deg, fitted.lamps_deg)), 2),
         residual=round(fitted.residual, 4),
         share=round(material.share, 4),
         pigment=None if pigment is None else (_short(pigment[0]), _short(pigment[1]), _short(pigment[2])),

@@ -403,7 +403,8 @@ def resolve_options(
 def _of_materials(job: ReconstructionJob, materials: Sequence[manifests.MaterialEntry]) -> ReconstructionJob:
     reflectances = tuple(entry.reflectance for entry in materials)
     pigments = tuple(entry.pigment or (0.0, 0.0, 0.0) for entry in materials)
-    return replace(job, reflectances=reflectances, pigments=pigments)
+    errors_deg = tuple(entry.error_deg for entry in materials)
+    return replace(job, reflectances=reflectances, pigments=pigments, errors_deg=errors_deg)
 
 
 def _was_pressed(job: ReconstructionJob) -> bool:

@@ -5,6 +5,7 @@ of M lies between their directions. But where lamp k is missing, whatever the su
 M⁻¹ (r − a) in the plane that is orthogonal to lamp k's direction: its normal is the direction.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -57,15 +58,34 @@ def directions_from_shadows(
     """
     if response.light_colours is not None:
         return LampDirections(response=response, rows=response.contributions_from_rgb, doubts=np.zeros(3))
-    rows, doubts = np.eye(3), np.full(3, np.inf)
+    return directions_from_unlit(unlit_by_lamp(level, labels, response, mask), response)
+
+
+def unlit_by_lamp(
+    level: LinearFrame, labels: VisibilityLabels, response: LightResponse, mask: Mask
+) -> list[FloatArray]:
+    """Return for each lamp M⁻¹ (r − a), (n, 3), of pixels that it does not reach but another does.
+
+    Arguments as for `directions_from_shadows`. Those of several frames may be joined.
+    """
+    found = []
     for k in range(3):
         pixels = _inside(labels, np.uint8(1 << k), mask)
-        if len(pixels) < _FEWEST_PIXELS:
-            continue
         pixels = pixels[:: 1 + len(pixels) // _MOST_PIXELS]
-        colours = level.rgb.reshape(-1, 3)[pixels] - response.ambient
-        direction, doubts[k] = _normal_of_plane(colours @ response.inverse.T)
-        rows[k] = response.inverse.T @ direction
+        found.append((level.rgb.reshape(-1, 3)[pixels] - response.ambient) @ response.inverse.T)
+    return found
+
+
+def directions_from_unlit(unlit: Sequence[FloatArray], response: LightResponse) -> LampDirections:
+    """Return the normals of the planes that what the lamps do not reach lies in, as the lamps' directions.
+
+    unlit: for each lamp (n, 3), of `unlit_by_lamp`; of few, nothing is told.
+    """
+    rows, doubts = np.eye(3), np.full(3, np.inf)
+    for k, vectors in enumerate(unlit):
+        if len(vectors) >= _FEWEST_PIXELS:
+            direction, doubts[k] = _normal_of_plane(vectors)
+            rows[k] = response.inverse.T @ direction
     return LampDirections(response=response, rows=rows, doubts=doubts)
 
 

@@ -65,7 +65,8 @@ class MaterialEntry(Entry):
         description="What it returns of lamps 0, 1, 2, relative to the calibration material."
     )
     error_deg: float = Field(
-        description="Angle by which what the normals leave open of the reflectance turns normals."
+        description="Angle by which normals turn, root mean square, by what is not known of the reflectance "
+        "and, where shadows told them, of the lamps' directions."
     )
     residual: float = Field(
         description="Robust standard deviation of the normals' lengths, which should be 1."
