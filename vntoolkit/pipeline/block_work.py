@@ -57,7 +57,8 @@ class ReconstructionJob:
     or None. sensor: how samples of the sensor itself are read. reflectances: (m, 3), of materials relative
     to the rig's; empty for the rig's alone. pigments: (m, 3), along which log reflectances change, 0 for
     none. errors_deg: (m,), root mean square angles by which the materials' errors turn normals. surface:
-    reflectances of a tracked surface, which count before those of the materials. nearness: of
+    reflectances of a tracked surface, which count before those of the materials. lamp_doubts_deg:
+    of the directions of lamps that were looked for in shadows, infinite for unknown. nearness: of
     the lamps, by which the rig's M was made to change over the picture; 0 for not at all. blur_px: standard
     deviation of the picture's blur, which expected errors count; 0 for unknown. threads: for decoding; with
     1, reading and processing take turns, so that a worker is one core's. limits: on what any process reads.
@@ -78,6 +79,7 @@ class ReconstructionJob:
     pigments: tuple[tuple[float, float, float], ...] = ()
     errors_deg: tuple[float, ...] = ()
     surface: TrackedReflectance | None = None
+    lamp_doubts_deg: tuple[float, ...] = ()
     nearness: float = 0.0
     blur_px: float = 0.0
     threads: int = 2

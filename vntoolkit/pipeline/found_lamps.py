@@ -6,62 +6,83 @@ with a rig that was calibrated lamp by lamp.
 """
 
 import logging
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from vntoolkit.arrays import FloatArray
+from vntoolkit.arrays import FloatArray, Matrix3
 from vntoolkit.errors import BadRig, VntError
 from vntoolkit.io.footage.captures import Capture
 from vntoolkit.io.footage.mattes import Mattes
+from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline.block_work import ReconstructionJob
 from vntoolkit.pipeline.frame_processor import FrameProcessor
 from vntoolkit.pipeline.options import MaterialSearch, Product
 from vntoolkit.shadows.detector import ShadowMethod
-from vntoolkit.shadows.lamp_directions import LampDirections, directions_from_unlit
+from vntoolkit.shadows.lamp_directions import directions_from_unlit
 
 logger = logging.getLogger(__name__)
-_LOOKED_AT = 5  # frames, evenly spread, and where these do not tell all lamps, others between them …
-_AT_MOST = 10  # … within a second and a half at 640×480
-_SURE_DEG = 4.0  # standard deviation of a direction: M's rows of a camera that mixes lamps are off by 4 to 9
+_LOOKED_AT = 5  # frames at once, evenly spread
+_SURE_DEG = 4.0  # standard deviation of a direction, to be told …
+_BETTER_DEG = 9.0  # … and to help: M's rows of a camera that mixes lamps are off by 4 to 9
 _LEAST_LIGHT = -0.05  # of the strongest channel of a lamp: light is not negative
 
 
 def with_found_lamps(
     job: ReconstructionJob, capture: Capture, mattes: Mattes, numbers: range
 ) -> ReconstructionJob:
-    """Return the job with the lamps' colours in its rig, as far as shadows on some frames tell all three."""
-    response = job.rig.response
-    if response.light_colours is not None or job.rig.gel is not None:
+    """Return the job with the lamps' colours in its rig, as far as shadows on some frames tell all three.
+
+    With M alone every channel counts as a lamp, so that many shadows are missed. Where the first frames do not
+    tell all lamps, shadows are looked for again, in frames between them, with the colours told so far.
+    """
+    if job.rig.response.light_colours is not None or job.rig.gel is not None:
         return job
     if job.options.shadows is not ShadowMethod.ROBUST or job.options.materials is MaterialSearch.CALIBRATED:
         return job
-    lamps = _lamps(job, capture, mattes, numbers)
-    if lamps.doubts.max() > np.radians(_SURE_DEG):
-        return job
-    colours = (response.matrix @ np.linalg.inv(lamps.central)).T
-    if (colours < _LEAST_LIGHT * colours.max(axis=1, keepdims=True)).any():
-        return job
-    doubts_deg = np.round(np.degrees(lamps.doubts), 3)
-    try:
-        found = replace(response, light_colours=np.round(colours, 6), light_doubts_deg=doubts_deg)
-    except BadRig:  # mixtures of each other
-        return job
-    return replace(job, rig=replace(job.rig, response=found))
-
-
-def _lamps(job: ReconstructionJob, capture: Capture, mattes: Mattes, numbers: range) -> LampDirections:
-    """Return what the shadows of some frames together tell of the lamps."""
-    options = replace(job.options, to=Product.DEPTH, materials=MaterialSearch.CALIBRATED)
     there = [n for n in capture.present if n in numbers and not mattes.missing([n])]
+    spread = there[:: -(-len(there) // (2 * _LOOKED_AT))]
+    alone, rig, unlit = job.rig.response, job.rig, _nothing()
+    for frames in (spread[::2], spread[1::2] or spread, spread[::2]):
+        seen = _unlit_by_lamp(replace(job, rig=rig), capture, mattes, frames)
+        unlit = [np.concatenate(pair) for pair in zip(unlit, seen, strict=True)]
+        lamps = directions_from_unlit(unlit, alone)
+        doubts_deg = np.degrees(lamps.doubts)
+        job = replace(job, lamp_doubts_deg=tuple(doubts_deg))
+        helps = doubts_deg <= _BETTER_DEG
+        found = _with_colours(job.rig, np.where(helps[:, None], lamps.central, alone.light_directions))
+        if found is not None and doubts_deg.max() <= _SURE_DEG:
+            response = replace(found.response, light_doubts_deg=np.round(doubts_deg, 2))
+            return replace(job, rig=replace(found, response=response))
+        if found is not None and helps.any():
+            rig, unlit = found, _nothing()
+    return job
+
+
+def _with_colours(rig: Rig, directions: Matrix3) -> Rig | None:
+    """Return the rig with the lamps' colours that M and their directions (3, 3) leave; None for impossible."""
+    try:
+        colours = np.linalg.solve(directions.T, rig.response.matrix.T)
+        if (colours < _LEAST_LIGHT * colours.max(axis=1, keepdims=True)).any():
+            return None
+        return replace(rig, response=replace(rig.response, light_colours=np.round(colours, 6)))
+    except (np.linalg.LinAlgError, BadRig):  # lamps in one plane, or mixtures of each other
+        return None
+
+
+def _nothing() -> list[FloatArray]:
+    return [np.empty((0, 3)) for _ in range(3)]
+
+
+def _unlit_by_lamp(
+    job: ReconstructionJob, capture: Capture, mattes: Mattes, numbers: Sequence[int]
+) -> list[FloatArray]:
+    """Return for each lamp (n, 3), what it does not reach in some frames."""
+    options = replace(job.options, to=Product.DEPTH, materials=MaterialSearch.CALIBRATED)
     processor = FrameProcessor(job.rig, options, mattes.still, capture.background, with_errors=False)
-    unlit: list[FloatArray] = [np.empty((0, 3))] * 3
-    lamps = directions_from_unlit(unlit, job.rig.response)
-    step = -(-len(there) // _AT_MOST)
-    chosen = there[::step][::2] + there[::step][1::2]
-    for looked_at, number in enumerate(chosen):
-        if looked_at >= _LOOKED_AT and lamps.doubts.max() <= np.radians(_SURE_DEG):
-            break
+    unlit = _nothing()
+    for number in numbers:
         try:
             encoded = capture.encoded(number)
             seen = processor.unlit_by_lamp(encoded, mattes.of(encoded))
@@ -69,5 +90,4 @@ def _lamps(job: ReconstructionJob, capture: Capture, mattes: Mattes, numbers: ra
             logger.debug("lamps not looked for: %s", problem)
             continue
         unlit = [np.concatenate(pair) for pair in zip(unlit, seen, strict=True)]
-        lamps = directions_from_unlit(unlit, job.rig.response)
-    return lamps
+    return unlit
