@@ -26,6 +26,7 @@ logger = logging.getLogger(__name__)
 _LOOKED_AT = 5  # frames at once, evenly spread
 _SURE_DEG = 4.0  # standard deviation of a direction, to be told …
 _BETTER_DEG = 9.0  # … and to help: M's rows of a camera that mixes lamps are off by 4 to 9
+_NOTHING_DEG = 30.0  # lamps stand not much farther apart
 _LEAST_LIGHT = -0.05  # of the strongest channel of a lamp: light is not negative
 
 
@@ -35,16 +36,17 @@ def with_found_lamps(
     """Return the job with the lamps' colours in its rig, as far as shadows on some frames tell all three.
 
     With M alone every channel counts as a lamp, so that many shadows are missed. Where the first frames do not
-    tell all lamps, shadows are looked for again, in frames between them, with the colours told so far.
+    tell all lamps, shadows are looked for again, in frames between them, with the colours told so far: lamps
+    that were not told count as standing where M's rows point.
     """
     if job.rig.response.light_colours is not None or job.rig.gel is not None:
         return job
     if job.options.shadows is not ShadowMethod.ROBUST or job.options.materials is MaterialSearch.CALIBRATED:
         return job
     there = [n for n in capture.present if n in numbers and not mattes.missing([n])]
-    spread = there[:: -(-len(there) // (2 * _LOOKED_AT))]
+    step = -(-len(there) // _LOOKED_AT)
     alone, rig, unlit = job.rig.response, job.rig, _nothing()
-    for frames in (spread[::2], spread[1::2] or spread, spread[::2]):
+    for frames in (there[::step], there[step // 2 :: step]):
         seen = _unlit_by_lamp(replace(job, rig=rig), capture, mattes, frames)
         unlit = [np.concatenate(pair) for pair in zip(unlit, seen, strict=True)]
         lamps = directions_from_unlit(unlit, alone)
@@ -57,7 +59,23 @@ def with_found_lamps(
             return replace(job, rig=replace(found, response=response))
         if found is not None and helps.any():
             rig, unlit = found, _nothing()
+        elif step == 1:  # the same frames would tell the same
+            break
     return job
+
+
+def lamps_in_words(doubts_deg: Sequence[float]) -> str:
+    """Return what shadows did not tell of the lamps, as part of a warning; empty if nobody looked."""
+    if not doubts_deg:
+        return ""
+    told = ", ".join(
+        f"lamp {k} to {doubt:.1f} degrees" if doubt < _NOTHING_DEG else f"lamp {k} not at all"
+        for k, doubt in enumerate(doubts_deg)
+    )
+    return (
+        f"shadows on it do not tell where the lamps stand ({told}; {_SURE_DEG:.0f} are needed of each): hold a "
+        "hand before each lamp in turn while you film, or "
+    )
 
 
 def _with_colours(rig: Rig, directions: Matrix3) -> Rig | None:
