@@ -35,9 +35,9 @@ def with_found_lamps(
 ) -> ReconstructionJob:
     """Return the job with the lamps' colours in its rig, as far as shadows on some frames tell all three.
 
-    With M alone every channel counts as a lamp, so that many shadows are missed. Where the first frames do not
-    tell all lamps, shadows are looked for again, in frames between them, with the colours told so far: lamps
-    that were not told count as standing where M's rows point.
+    With M alone every channel counts as a lamp, so that many shadows are missed and dark paint is taken for
+    some. So they are looked for again with the colours told so far, in frames between the first ones. Lamps that
+    were not told count as standing where M's rows point. What the second look tells counts.
     """
     if job.rig.response.light_colours is not None or job.rig.gel is not None:
         return job
@@ -52,12 +52,13 @@ def with_found_lamps(
         lamps = directions_from_unlit(unlit, alone)
         doubts_deg = np.degrees(lamps.doubts)
         job = replace(job, lamp_doubts_deg=tuple(doubts_deg))
-        helps = doubts_deg <= _BETTER_DEG
-        found = _with_colours(job.rig, np.where(helps[:, None], lamps.central, alone.light_directions))
-        if found is not None and doubts_deg.max() <= _SURE_DEG:
+        told = ((doubts_deg <= least)[:, None] for least in (_BETTER_DEG, _SURE_DEG))
+        tried = (_with_colours(job.rig, np.where(k, lamps.central, alone.light_directions)) for k in told)
+        found = next((each for each in tried if each is not None), None)
+        if found is not None and rig is not job.rig and doubts_deg.max() <= _SURE_DEG:
             response = replace(found.response, light_doubts_deg=np.round(doubts_deg, 2))
             return replace(job, rig=replace(found, response=response))
-        if found is not None and helps.any():
+        if found is not None and doubts_deg.min() <= _BETTER_DEG:
             rig, unlit = found, _nothing()
         elif step == 1:  # the same frames would tell the same
             break
