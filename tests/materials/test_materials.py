@@ -589,3 +589,37 @@ def test_a_material_too_small_to_tell_shares_the_pigment_of_the_largest() -> Non
     assert small is not None
     assert np.array_equal(large[0], small[0])
     assert MaterialLabeller(RESPONSE, values).pigments(frame, mask & (labels > 0), 0 * labels) == [None]
+
+
+def test_turn_by_lamps_in_doubt_is_what_lamps_that_are_off_do() -> None:
+    """M known, directions drawn with their doubts: ρ is fitted and normals are told under each draw."""
+    doubts_deg, rng = np.array([3.0, 2.0, 4.0]), np.random.default_rng(5)
+    normals, mask = dome(40)
+    normals = normals[mask]
+    rgb = np.maximum(normals @ DIRECTIONS.T, 0.0) * PAINTS[0] @ COLOURS
+    said, turns = [], []
+    for _ in range(60):
+        axes = np.cross(DIRECTIONS, rng.normal(size=(3, 3)))
+        axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+        lengths = np.linalg.norm(rng.normal(size=(3, 2)), axis=1)  # of two independent standard deviations
+        moved = DIRECTIONS + np.cross(axes, DIRECTIONS) * (np.radians(doubts_deg) * lengths)[:, None]
+        moved /= np.linalg.norm(moved, axis=1, keepdims=True)
+        colours = (RESPONSE.matrix @ np.linalg.inv(moved)).T
+        response = replace(RESPONSE, light_colours=colours, light_doubts_deg=doubts_deg)
+        lamps = lamps_from_response(response, np.zeros(3))
+        contributions = rgb @ lamps.split.T
+        log, normal_matrix, _ = best_fit(contributions, lamps, 0.02)
+        fitted = reflectance_from_fit(log, np.linalg.inv(normal_matrix), contributions, lamps)
+        told = (contributions / fitted.values) @ lamps.inverse.T
+        told /= np.linalg.norm(told, axis=1, keepdims=True)
+        turns.append(np.mean(angles_deg(told, normals) ** 2))
+        said.append(fitted.lamps_deg**2)
+    assert np.sqrt(np.mean(said)) == pytest.approx(np.sqrt(np.mean(turns)), rel=0.3)
+
+
+def test_lamps_in_doubt_do_not_turn_the_rigs_own_material() -> None:
+    lamps = lamps_from_response(replace(RESPONSE, light_doubts_deg=np.full(3, 4.0)), np.zeros(3))
+    normals, mask = dome(40)
+    contributions = normals[mask] @ DIRECTIONS.T
+    fitted = reflectance_from_fit(np.zeros(3), 1e-8 * np.eye(3), contributions, lamps)
+    assert fitted.lamps_deg < 1e-6

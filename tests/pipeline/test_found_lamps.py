@@ -51,6 +51,14 @@ def test_face_with_m_alone_is_as_good_as_with_the_lamps_colours(film: Path) -> N
     turned = angles_between_deg(colours / np.linalg.norm(colours, axis=1, keepdims=True),
                                 known / np.linalg.norm(known, axis=1, keepdims=True))  # fmt: skip
     assert turned.max() < 6.0
+    doubts_deg = rig_from_entry(read_manifest(film / "found").rig).response.light_doubts_deg
+    assert doubts_deg is not None
+    assert 1.0 < doubts_deg.max() <= 4.0
+    frame, truth = open_result(film / "found").normals(0), true_normals(film / "film", 0)
+    both = frame.mask & truth.mask
+    off = angles_between_deg(frame.normals_in_camera[both], truth.normals_in_camera[both])
+    assert frame.error_deg is not None
+    assert 0.86 < (off <= frame.error_deg[both]).mean() < 0.95
     assert rig_from_entry(read_manifest(film / "alone").rig).response.light_colours is None
 
 
@@ -66,4 +74,43 @@ def test_run_that_goes_on_keeps_the_colours_it_found(film: Path) -> None:
     assert after is not None
     assert before.light_colours is not None
     assert before.light_colours == after.light_colours
+    assert before.light_doubts_deg == after.light_doubts_deg is not None
     assert (film / "again/normals/000003.exr").exists()
+
+
+@pytest.mark.slow
+def test_sweater_of_few_shadows_is_told_by_several_frames(tmp_path: Path) -> None:
+    vt.simulate("sweater", out=tmp_path / "film", frames="0:250:50", seed=169)
+    rig = read_rig(tmp_path / "film/truth/rig.json")
+    alone = replace(rig, response=replace(rig.response, light_colours=None))
+    vt.reconstruct(tmp_path / "film/capture.mkv", rig=alone, out=tmp_path / "found", to="normals")
+    found = rig_from_entry(read_manifest(tmp_path / "found").rig).response
+    assert found.light_colours is not None
+    off = angles_between_deg(found.light_directions, rig.response.light_directions)
+    assert found.light_doubts_deg is not None
+    assert np.all(off < found.light_doubts_deg)
+
+
+@pytest.mark.slow
+def test_dark_print_is_not_taken_for_shadow(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    vt.simulate("sweater_logo", out=tmp_path / "film", frames="0:50:50", seed=169)
+    rig = read_rig(tmp_path / "film/truth/rig.json")
+    alone = replace(rig, response=replace(rig.response, light_colours=None))
+    vt.reconstruct(tmp_path / "film/capture.mkv", rig=alone, out=tmp_path / "found", to="normals")
+    assert rig_from_entry(read_manifest(tmp_path / "found").rig).response.light_colours is None
+    assert "are off by more than 25 %" in caplog.text
+    assert "shadows on it do not tell where the lamps stand (lamp 0 to" in caplog.text
+
+
+@pytest.mark.slow
+def test_rig_of_another_colour_is_said(film: Path, caplog: pytest.LogCaptureFixture) -> None:
+    response = read_rig(film / "known.json").response
+    assert response.light_colours is not None
+    matrix = response.light_colours.T @ np.diag([0.9, 0.3, 0.25]) @ response.lights
+    rig = replace(
+        read_rig(film / "known.json"), response=replace(response, matrix=matrix, light_colours=None)
+    )
+    vt.reconstruct(
+        film / "film/capture.mkv", rig=rig, out=film / "wrong", to="normals", materials="calibrated"
+    )
+    assert "degrees away from the camera on average (expected below 45)" in caplog.text

@@ -5,7 +5,7 @@ import numpy as np
 from vntoolkit.arrays import FloatArray, Matrix3, VisibilityLabels
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
-from vntoolkit.shadows.lamp_directions import directions_from_shadows
+from vntoolkit.shadows.lamp_directions import directions_from_shadows, directions_from_unlit, unlit_by_lamp
 
 SHAPE = (60, 60)
 LAMPS = np.array([[-0.3, 0.15, -1.0], [0.3, 0.2, -1.0], [0.0, -0.35, -1.0]])
@@ -56,6 +56,17 @@ def test_few_pixels_leave_the_lamp_unknown() -> None:
     frame, labels = seen(0.6, 0.003, np.s_[20:24, 20:30])
     found = directions_from_shadows(frame, labels, response(), np.ones(SHAPE, np.bool_))
     assert np.all(np.isinf(found.doubts))
+
+
+def test_frames_together_tell_what_none_tells_alone() -> None:
+    unlit, everywhere = np.empty((0, 3)), np.ones(SHAPE, np.bool_)
+    for rows in (np.s_[10:17, 5:9], np.s_[30:36, 20:26], np.s_[45:50, 40:47]):
+        frame, labels = seen(0.6, 0.003, rows)
+        alone = unlit_by_lamp(frame, labels, response(), everywhere)
+        assert np.isinf(directions_from_unlit(alone, response()).doubts[2])
+        unlit = np.concatenate([unlit, alone[2]])
+    found = directions_from_unlit([unlit[:0], unlit[:0], unlit], response())
+    assert angle_deg(found.central[2], LAMPS[2]) < np.degrees(found.doubts[2]) < 8.0
 
 
 def test_known_colours_give_the_directions_at_once() -> None:

@@ -115,7 +115,9 @@ def rig_from_entry(entry: RigFile) -> Rig:
             matrix=np.array(response.matrix),
             ambient=np.array(response.ambient),
             light_colours=None if response.light_colours is None else np.array(response.light_colours),
-            light_doubts_deg=None if response.light_doubts_deg is None else np.array(response.light_doubts_deg),
+            light_doubts_deg=(
+                None if response.light_doubts_deg is None else np.array(response.light_doubts_deg)
+            ),
             variation=None if response.variation is None else _variation_from_entry(response.variation),
         ),
         transfer=Transfer(
@@ -134,9 +136,9 @@ def rig_from_entry(entry: RigFile) -> Rig:
 def entry_from_rig(rig: Rig) -> RigFile:
     """Return the rig as rig.json and the manifest store it."""
     response, variation = rig.response, rig.response.variation
-    version = 5 if rig.gel is not None else 4 if rig.material else 1 if variation is None else 2
+    has_doubts = response.light_doubts_deg is not None
     return RigFile(
-        version=version if response.light_doubts_deg is None else 6,
+        version=6 if has_doubts else 5 if rig.gel else 4 if rig.material else 2 if variation else 1,
         camera=entry_from_camera(rig.camera),
         response=ResponseEntry.model_validate(
             {

@@ -19,9 +19,10 @@ class LightResponse:
     matrix: (3, 3), rows are the channels R, G, B, columns the normal's x, y, z in the camera frame; the
     calibration material's albedo is a factor of it. ambient: (3,) colour that does not depend on the normal.
     light_colours: (3, 3), row k = colour c_k of light k, or None where not known; then
-    matrix = Σ_k c_k l_kᵀ and `light_directions` gives the rows l_k. light_doubts_deg: (3,) standard deviations
-    of these directions, where shadows on a subject told them; None for exact. variation: how M and ambient change over
-    the image, or None where they do not; with it, `matrix` and everything derived from it hold at its centre.
+    matrix = Σ_k c_k l_kᵀ and `light_directions` gives the rows l_k. light_doubts_deg: (3,) standard
+    deviations of these directions, where shadows on a subject told them; None for exact. variation: how M and
+    ambient change over the image, or None where they do not; with it, `matrix` and everything derived from it
+    hold at its centre.
     """
 
     matrix: Matrix3

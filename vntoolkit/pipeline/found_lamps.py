@@ -36,8 +36,8 @@ def with_found_lamps(
     """Return the job with the lamps' colours in its rig, as far as shadows on some frames tell all three.
 
     With M alone every channel counts as a lamp, so that many shadows are missed and dark paint is taken for
-    some. So they are looked for again with the colours told so far, in frames between the first ones. Lamps that
-    were not told count as standing where M's rows point. What the second look tells counts.
+    some. So they are looked for again with the colours told so far, in frames between the first ones. Lamps
+    that were not told count as standing where M's rows point. What the second look tells counts.
     """
     if job.rig.response.light_colours is not None or job.rig.gel is not None:
         return job
@@ -52,13 +52,15 @@ def with_found_lamps(
         lamps = directions_from_unlit(unlit, alone)
         doubts_deg = np.degrees(lamps.doubts)
         job = replace(job, lamp_doubts_deg=tuple(doubts_deg))
-        told = ((doubts_deg <= least)[:, None] for least in (_BETTER_DEG, _SURE_DEG))
-        tried = (_with_colours(job.rig, np.where(k, lamps.central, alone.light_directions)) for k in told)
-        found = next((each for each in tried if each is not None), None)
+        helps = doubts_deg <= _BETTER_DEG
+        found = _with_colours(job.rig, np.where(helps[:, None], lamps.central, alone.light_directions))
         if found is not None and rig is not job.rig and doubts_deg.max() <= _SURE_DEG:
+            colours = found.response.light_colours
+            if colours is None or (colours < _LEAST_LIGHT * colours.max(axis=1, keepdims=True)).any():
+                break
             response = replace(found.response, light_doubts_deg=np.round(doubts_deg, 2))
             return replace(job, rig=replace(found, response=response))
-        if found is not None and doubts_deg.min() <= _BETTER_DEG:
+        if found is not None and helps.any():
             rig, unlit = found, _nothing()
         elif step == 1:  # the same frames would tell the same
             break
@@ -73,18 +75,13 @@ def lamps_in_words(doubts_deg: Sequence[float]) -> str:
         f"lamp {k} to {doubt:.1f} degrees" if doubt < _NOTHING_DEG else f"lamp {k} not at all"
         for k, doubt in enumerate(doubts_deg)
     )
-    return (
-        f"shadows on it do not tell where the lamps stand ({told}; {_SURE_DEG:.0f} are needed of each): hold a "
-        "hand before each lamp in turn while you film, or "
-    )
+    return f"shadows on it do not tell where the lamps stand ({told}; {_SURE_DEG:.0f} are needed of each): "
 
 
 def _with_colours(rig: Rig, directions: Matrix3) -> Rig | None:
-    """Return the rig with the lamps' colours that M and their directions (3, 3) leave; None for impossible."""
+    """Return the rig with the colours that M and directions (3, 3) leave to lamps; None for impossible."""
     try:
         colours = np.linalg.solve(directions.T, rig.response.matrix.T)
-        if (colours < _LEAST_LIGHT * colours.max(axis=1, keepdims=True)).any():
-            return None
         return replace(rig, response=replace(rig.response, light_colours=np.round(colours, 6)))
     except (np.linalg.LinAlgError, BadRig):  # lamps in one plane, or mixtures of each other
         return None

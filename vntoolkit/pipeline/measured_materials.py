@@ -44,8 +44,8 @@ _MOST_UNEXPLAINED_OF_ANY = 0.4  # more, and nothing that was found can be truste
 _MOST_LEFT = 0.85
 _JUDGED = 40_000  # pixels tell how much is not explained
 _LIT_SHARE = 0.06  # of the strongest lamp's light that reaches a pixel: less may be shadow
-# Another colour pulls all normals towards a lamp: those of simulated garments and faces lie 43 to 64 degrees off
-# then, else 2 to 38. A sheet so far turned shows seven tenths of its area.
+# Another colour pulls all normals towards a lamp: those of simulated garments and faces then lie 43 to 64
+# degrees off, else 2 to 38. A sheet so far turned shows seven tenths of its area.
 _LARGEST_TILT_DEG = 45.0
 _REMEDY = "film the subject while it turns, or calibrate on its own material"
 
@@ -325,8 +325,8 @@ def _warn_of_other_material(job: ReconstructionJob, frame: LinearFrame, mask: Ma
         )
     elif off > _MOST_UNEXPLAINED and job.rig.response.light_colours is None:  # with colours, told before
         wrong.append(
-            f"the lengths of {100 * off:.0f} % of its normals are off by more than {100 * _WRONG_LENGTH:.0f} % "
-            f"(expected in at most {100 * _MOST_UNEXPLAINED:.0f} %)"
+            f"the lengths of {100 * off:.0f} % of its normals are off by more than {100 * _WRONG_LENGTH:.0f} "
+            f"% (expected in at most {100 * _MOST_UNEXPLAINED:.0f} %)"
         )
     if tilt_deg > _LARGEST_TILT_DEG:
         wrong.append(
@@ -335,8 +335,8 @@ def _warn_of_other_material(job: ReconstructionJob, frame: LinearFrame, mask: Ma
         )
     if wrong:
         remedy = (
-            lamps_in_words(job.lamp_doubts_deg) + "calibrate with one photograph per lamp (--single-light), so "
-            "that --materials auto can tell them"
+            f"{lamps_in_words(job.lamp_doubts_deg)}calibrate with one photograph per lamp (--single-light), "
+            "so that --materials auto can tell them"
             if job.rig.response.light_colours is None
             else "try --materials auto"
             if job.options.materials is not MaterialSearch.AUTO

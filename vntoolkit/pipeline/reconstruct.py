@@ -196,10 +196,10 @@ def _with_lamps(
     if earlier is None:
         return with_found_lamps(job, capture, mattes, numbers)
     response, stored = job.rig.response, earlier.rig.response
-    colours = None if stored is None else stored.light_colours
-    if response.light_colours is not None or colours is None:
+    if response.light_colours is not None or stored is None or stored.light_colours is None:
         return job
-    return replace(job, rig=replace(job.rig, response=replace(response, light_colours=np.array(colours))))
+    kept = {name: getattr(stored, name) for name in ("light_colours", "light_doubts_deg")}
+    return replace(job, rig=replace(job.rig, response=replace(response, **kept)))
 
 
 def _missing_frames(capture: Capture, mattes: Mattes, numbers: range) -> list[FrameEntry]:
