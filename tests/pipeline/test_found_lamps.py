@@ -82,8 +82,10 @@ def test_run_that_goes_on_keeps_the_colours_it_found(film: Path) -> None:
 def test_sweater_of_few_shadows_is_told_by_several_frames(tmp_path: Path) -> None:
     vt.simulate("sweater", out=tmp_path / "film", frames="0:250:50", seed=169)
     rig = read_rig(tmp_path / "film/truth/rig.json")
-    alone = replace(rig, response=replace(rig.response, light_colours=None))
-    vt.reconstruct(tmp_path / "film/capture.mkv", rig=alone, out=tmp_path / "found", to="normals")
+    write_rig(tmp_path / "alone.json", replace(rig, response=replace(rig.response, light_colours=None)))
+    vt.reconstruct(
+        tmp_path / "film/capture.mkv", rig=tmp_path / "alone.json", out=tmp_path / "found", to="normals"
+    )
     found = rig_from_entry(read_manifest(tmp_path / "found").rig).response
     assert found.light_colours is not None
     off = angles_between_deg(found.light_directions, rig.response.light_directions)
@@ -95,8 +97,10 @@ def test_sweater_of_few_shadows_is_told_by_several_frames(tmp_path: Path) -> Non
 def test_dark_print_is_not_taken_for_shadow(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     vt.simulate("sweater_logo", out=tmp_path / "film", frames="0:50:50", seed=169)
     rig = read_rig(tmp_path / "film/truth/rig.json")
-    alone = replace(rig, response=replace(rig.response, light_colours=None))
-    vt.reconstruct(tmp_path / "film/capture.mkv", rig=alone, out=tmp_path / "found", to="normals")
+    write_rig(tmp_path / "alone.json", replace(rig, response=replace(rig.response, light_colours=None)))
+    vt.reconstruct(
+        tmp_path / "film/capture.mkv", rig=tmp_path / "alone.json", out=tmp_path / "found", to="normals"
+    )
     assert rig_from_entry(read_manifest(tmp_path / "found").rig).response.light_colours is None
     assert "are off by more than 25 %" in caplog.text
     assert "shadows on it do not tell where the lamps stand (lamp 0 to" in caplog.text
@@ -110,6 +114,7 @@ def test_rig_of_another_colour_is_said(film: Path, caplog: pytest.LogCaptureFixt
     rig = replace(
         read_rig(film / "known.json"), response=replace(response, matrix=matrix, light_colours=None)
     )
+    write_rig(film / "red.json", rig)
     vt.reconstruct(
         film / "film/capture.mkv", rig=rig, out=film / "wrong", to="normals", materials="calibrated"
     )
