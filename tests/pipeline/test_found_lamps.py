@@ -116,6 +116,10 @@ def test_rig_of_another_colour_is_said(film: Path, caplog: pytest.LogCaptureFixt
     )
     write_rig(film / "red.json", rig)
     vt.reconstruct(
-        film / "film/capture.mkv", rig=rig, out=film / "wrong", to="normals", materials="calibrated"
+        film / "film/capture.mkv",
+        rig=film / "red.json",
+        out=film / "wrong",
+        to="normals",
+        materials="calibrated",
     )
     assert "degrees away from the camera on average (expected below 45)" in caplog.text

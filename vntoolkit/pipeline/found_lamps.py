@@ -44,7 +44,7 @@ def with_found_lamps(
     if job.options.shadows is not ShadowMethod.ROBUST or job.options.materials is MaterialSearch.CALIBRATED:
         return job
     there = [n for n in capture.present if n in numbers and not mattes.missing([n])]
-    step = -(-len(there) // _LOOKED_AT)
+    step = max(1, -(-len(there) // _LOOKED_AT))
     alone, rig, unlit = job.rig.response, job.rig, _nothing()
     for frames in (there[::step], there[step // 2 :: step]):
         seen = _unlit_by_lamp(replace(job, rig=rig), capture, mattes, frames)
@@ -71,6 +71,8 @@ def lamps_in_words(doubts_deg: Sequence[float]) -> str:
     """Return what shadows did not tell of the lamps, as part of a warning; empty if nobody looked."""
     if not doubts_deg:
         return ""
+    if max(doubts_deg) <= _SURE_DEG:
+        return "with the lamps where shadows on it tell them, M would need negative light: "
     told = ", ".join(
         f"lamp {k} to {doubt:.1f} degrees" if doubt < _NOTHING_DEG else f"lamp {k} not at all"
         for k, doubt in enumerate(doubts_deg)
