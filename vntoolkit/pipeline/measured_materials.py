@@ -326,7 +326,7 @@ def _warn_of_other_material(job: ReconstructionJob, frame: LinearFrame, mask: Ma
     elif off > _MOST_UNEXPLAINED and job.rig.response.light_colours is None:  # with colours, told before
         wrong.append(
             f"the lengths of {100 * off:.0f} % of its normals are off by more than {100 * _WRONG_LENGTH:.0f} "
-            f"% (expected in at most {100 * _MOST_UNEXPLAINED:.0f} %)"
+            f"% (expected in at most {100 * _MOST_UNEXPLAINED:.0f} %; gloss does this, too)"
         )
     if tilt_deg > _LARGEST_TILT_DEG:
         wrong.append(
