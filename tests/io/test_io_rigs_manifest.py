@@ -113,7 +113,7 @@ def _changed(rig, *path, value):
         (("colour", "transfer"), "log", "expected linear, srgb, bt709, gamma:G"),
         (("colour", "order"), "bgr", r"colour\.order: input should be 'rgb'"),
         (("sources", 0, "sha256"), "12", r"sources\.0\.sha256"),
-        (("version",), 6, "is of version 6, this program reads 1 to 5"),
+        (("version",), 7, "is of version 7, this program reads 1 to 6"),
     ],
 )
 def test_a_bad_rig_is_one_line_that_names_the_key(rig, path, value, line):
