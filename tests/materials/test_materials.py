@@ -9,7 +9,7 @@ from scipy.ndimage import gaussian_filter
 
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
-from vntoolkit.materials import pixels
+from vntoolkit.materials import blurred_labels, pixels
 from vntoolkit.materials.labelling import MaterialLabeller
 from vntoolkit.materials.reflectance import (
     Lamps,
@@ -308,6 +308,13 @@ def test_how_far_a_picture_moved_is_told_to_a_third(moved: tuple[int, int]) -> N
     later = replace(later, colours=np.roll(later.colours, moved, (0, 1)))
     told = blocks_moved(*(cells_of(split.colours) for split in (first, later)))
     assert told == pytest.approx(np.hypot(*moved), rel=0.33, abs=0.2)
+
+
+def test_a_pixel_that_a_seam_touches_at_a_corner_only_keeps_its_label() -> None:
+    labels, beside = np.zeros((4, 6), np.uint8), np.zeros(6, np.bool_)
+    labels[2:, 3:] = 1
+    blurred_labels._find_beside(*labels[:3], beside)
+    assert np.flatnonzero(beside).tolist() == [3, 4]
 
 
 def test_stripes_that_jump_in_half_of_a_blurred_picture_are_decided_anew() -> None:

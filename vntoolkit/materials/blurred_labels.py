@@ -299,11 +299,10 @@ def _move_row(
 
 @njit(cache=True)
 def _find_beside(above: Any, row: Any, below: Any, out: Any) -> None:
-    """Fill where around a row's pixels labels differ; nothing at the ends."""
+    """Fill where a row's pixels have a neighbour of another label; nothing at the ends."""
     for u in range(1, len(out) - 1):
-        left = (above[u - 1] != row[u - 1]) | (below[u - 1] != row[u - 1]) | (row[u - 1] != row[u])
-        right = (above[u + 1] != row[u + 1]) | (below[u + 1] != row[u + 1]) | (row[u + 1] != row[u])
-        out[u] = left | right | (above[u] != row[u]) | (below[u] != row[u])
+        m = row[u]
+        out[u] = (above[u] != m) | (below[u] != m) | (row[u - 1] != m) | (row[u + 1] != m)
 
 
 @njit(cache=True, inline="always")
