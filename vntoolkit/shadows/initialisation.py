@@ -30,7 +30,8 @@ _NOISE_PER_SLOPE = 1.7  # noise of a cosine per noise of a slope, on cleaner fra
 _LEAST_NOISE = 0.01  # of a cosine
 _START_PIXELS = 15_000  # frames are halved until they are not larger; there the starts are compared
 _CHECKING_ITERATIONS = 4  # steps there of a surface that is given
-_MIDDLE_ITERATIONS, _LARGE_ITERATIONS = 4, 3  # steps at every larger size, and at the largest
+_MIDDLE_ITERATIONS, _LARGE_ITERATIONS = 4, 3  # steps at every larger size, and at the largest, …
+_SETTLED_ITERATIONS = 2  # … of which the last ones settle
 # The roots win a shadow where they leave so much less than the start does, and it has so many pixels there.
 _CLEAR_GAIN, _FEWEST_PIXELS = 0.85, 50
 
@@ -45,7 +46,7 @@ def solve_from_best_initialisation(
     """
     image = _trusted(image)
     found = _better_than(start, image, options)
-    large = replace(options, iterations=_LARGE_ITERATIONS)
+    large = replace(options, iterations=_LARGE_ITERATIONS, settled=_SETTLED_ITERATIONS)
     surfaces = [image.solve(large, each) for each in (start, found) if each is not None]
     return min(surfaces, key=lambda surface: np.minimum(surface.misfit, _LARGEST_MISFIT)[image.shadow].sum())
 

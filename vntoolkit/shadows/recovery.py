@@ -188,7 +188,7 @@ def _with_surface(
     normals, weight = np.zeros_like(rgb), np.zeros(frame.shape, np.float32)
     _detail_kernel(
         flat(rgb), frame.clipped, np.asarray(labels), inside, lamps, numbers_of(response.light_directions),
-        numbers_of(response.lights), ray_grid(camera), model_of(options),
+        numbers_of(response.lights), ray_grid(camera), model_of(options, settled=True),
         np.float32(_HELD if factor > 1 else 0.0), solved, flat(normals), weight,
     )  # fmt: skip
     return normals, weight, surface

@@ -47,7 +47,8 @@ from vntoolkit.solvers import grid_hierarchy, solve_grid
 Grid = Float32Array
 Labels = ByteArray
 # The energy; cosines are 1 where a surface of the local albedo faces the light.
-_ALBEDO_SPREAD = 0.15  # relative standard deviation of the albedo continued into a shadow
+_ALBEDO_SPREAD = 0.15  # relative standard deviation of the albedo continued into a shadow, …
+_SETTLED_SPREAD = 0.03  # … and as it is: that of lit pixels' albedo about their surroundings', 1 to 4 %
 _OWN_ALBEDO_SPREAD = 3.0  # the same where all three lights arrive: there the colour's length is the albedo
 _STEP_SOFTNESS = 10.0  # χ² at which a depth gradient counts a quarter, as it crosses a step in depth
 _SHADOW_STEP_SOFTNESS = 40.0  # the same under two lights, where the slope hangs on the albedo around
@@ -64,12 +65,14 @@ class SurfaceOptions:
 
     noise: standard deviation of a light's cosine; it stands for camera noise and for what the model leaves
     out (interreflection, gloss). smoothness: weight of a shadowed pixel's slope being its surroundings' mean.
-    iterations: Gauss–Newton steps. cycles: of multigrid in each, at most.
+    iterations: Gauss–Newton steps. settled: how many of them, the last ones, take the light under shadow at
+    its word. cycles: of multigrid in each, at most.
     """
 
     noise: float = 0.03
     smoothness: float = 3.0
     iterations: int = 8
+    settled: int = 0
     cycles: int = 4
 
 
@@ -207,10 +210,11 @@ def solve_surface(
     quadratics, targets = np.empty((6, *shape), np.float32), np.empty((2, *shape), np.float32)
     weights = np.empty((4, *shape), np.float32)
     edges, right = np.empty((4, *shape), np.float32), np.empty(shape, np.float32)
-    rows, model = numbers_of(lights), model_of(options)
+    rows = numbers_of(lights)
     prior_weights = _prior_weights(mask, known)
     softness = shadow_softness = NO_STEP  # the first depth must hold together before it may show steps
-    for _ in range(options.iterations):
+    for step in range(options.iterations):
+        model = model_of(options, settled=step >= options.iterations - options.settled)
         prior = _surrounding_slope(slopes, prior_weights)
         quadratics_kernel(flat(data), seen, trust, slopes, prior, rows, rays, model, quadratics, targets)
         weights_kernel(
@@ -226,11 +230,15 @@ def solve_surface(
     return Surface(normals=normals, depth=depth, agreement=agreement, misfit=quadratics[5])
 
 
-def model_of(options: SurfaceOptions) -> "Model":
-    """Lay the energy out for the loops."""
+def model_of(options: SurfaceOptions, *, settled: bool) -> "Model":
+    """Lay the energy out for the loops.
+
+    settled: whether every slope is on its side. Two lights under a known albedo leave two slopes with a ridge
+    between them; one that is hardly known lets a slope cross, but then the light tells little.
+    """
     values = (
-        options.noise, _ALBEDO_SPREAD, _OWN_ALBEDO_SPREAD, options.smoothness, _DAMPING,
-        _MISSING_LIGHT_WEIGHT, _MISSING_LIGHT_CUTOFF,
+        options.noise, _SETTLED_SPREAD if settled else _ALBEDO_SPREAD, _OWN_ALBEDO_SPREAD, options.smoothness,
+        _DAMPING, 0.0 if settled else _MISSING_LIGHT_WEIGHT, _MISSING_LIGHT_CUTOFF,
     )  # fmt: skip
     return Model(*(np.float32(value) for value in values))
 
