@@ -9,19 +9,22 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
+from numba import prange
 
-from vntoolkit.arrays import BoolArray, Float64Array, FloatArray, Mask, Normals, VisibilityLabels
+from vntoolkit.arrays import BoolArray, ByteArray, Float64Array, FloatArray, Mask, Normals, VisibilityLabels
 from vntoolkit.geometry.slope_grid import FLATTEST_Z
 from vntoolkit.native import njit
 from vntoolkit.photometry.frame import ALL_LIT, LinearFrame, count_lit
 from vntoolkit.photometry.response import LightResponse
-from vntoolkit.shadows.contributions import contributions_from_frame, lengths_of
+from vntoolkit.shadows.contributions import contributions_from_frame, flat, lengths_of
 from vntoolkit.shadows.surface import LabelledImage, Surface, SurfaceOptions
 
 _LARGEST_MISFIT = 25.0  # χ² of one pixel beyond which it says no more about its region
 _MEDIAN_TO_DEVIATION = 1.4826
 _FEWEST_LOOPS = 100
 _FEWEST_PAIRS = 60  # of rows, whose noise stands for the frame's
+_OUTLINE = np.ones((5, 5), np.uint8)  # beside it blur mixes the light with what lies behind
+_AROUND = (7, 7)  # a square of 7 pixels has the standard deviation of `surface`'s surroundings, 2 pixels
 _PAIRS = ((1, 2, 6), (0, 2, 5), (0, 1, 3))  # the two lights that remain, and the label that says so
 # Of a pixel that 0 … 3 lights reach: one alone hangs on the albedo; few pixels under two must hold against
 # many around.
@@ -48,7 +51,8 @@ def solve_from_best_initialisation(
     found = _better_than(start, image, options)
     large = replace(options, iterations=_LARGE_ITERATIONS, settled=_SETTLED_ITERATIONS)
     surfaces = [image.solve(large, each) for each in (start, found) if each is not None]
-    return min(surfaces, key=lambda surface: np.minimum(surface.misfit, _LARGEST_MISFIT)[image.shadow].sum())
+    least = min(surfaces, key=lambda surface: np.minimum(surface.misfit, _LARGEST_MISFIT)[image.shadow].sum())
+    return replace(least, normals=_turned_to_light(least.normals, image))
 
 
 def _trusted(labelled: LabelledImage) -> LabelledImage:
@@ -112,6 +116,81 @@ def _better_regions(first: FloatArray, second: FloatArray, shadow: Mask) -> Mask
     )
     clear = (first_sum < _CLEAR_GAIN * second_sum) & (pixels >= _FEWEST_PIXELS)
     return np.asarray(shadow & clear[region])
+
+
+def _turned_to_light(normals: Normals, image: LabelledImage) -> Normals:
+    """Turn normals under two lights towards the nearer of those that the light leaves (`onn1990`).
+
+    A depth that holds together bends where it steps in truth, and with it the normals around. Then neighbours
+    are turned alike; noise turns each another way. With d the turn of one pixel, the part of it that is no
+    noise is |mean d|² over the mean of |d|² (Wiener's filter).
+    """
+    inner = cv2.erode(image.image.mask.astype(np.uint8), _OUTLINE)
+    light, planes = image.image.light, np.zeros((8, 4, 3))
+    for i, j, label in _PAIRS:
+        pair = light.lights[[i, j]]
+        across = np.cross(*pair)
+        planes[label, :3, [i, j]] = np.linalg.pinv(pair).T
+        planes[label, 3] = across / np.linalg.norm(across)
+    turns, count = np.zeros((*inner.shape, 4), np.float32), np.zeros(inner.shape, np.float32)
+    _turns_kernel(
+        flat(image.cosines), image.labels, inner, flat(normals), planes.astype(np.float32), turns, count
+    )
+    out = np.array(normals)
+    _turn_kernel(turns, cv2.blur(turns, _AROUND), cv2.blur(count, _AROUND), count, flat(out))
+    return out
+
+
+@njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
+def _turns_kernel(
+    cosines: FloatArray, labels: VisibilityLabels, inner: ByteArray, normals: FloatArray, planes: FloatArray,
+    turns: FloatArray, count: FloatArray,
+) -> None:  # fmt: skip
+    """Fill turns (h, w, 4), from normals to the nearer root, with its square, and count (h, w), 1 where known.
+
+    planes: (8, 4, 3) by label, what makes the part of a normal in the two lights' plane of the light, and the
+    unit normal of that plane.
+    """
+    h, w = labels.shape
+    for v in prange(h):
+        for u in range(w):
+            plane = planes[labels[v, u]]
+            if not inner[v, u] or plane[3, 0] ** 2 + plane[3, 1] ** 2 + plane[3, 2] ** 2 == np.float32(0.0):
+                continue
+            a, b, c = cosines[v, 3 * u], cosines[v, 3 * u + 1], cosines[v, 3 * u + 2]
+            n0, n1, n2 = normals[v, 3 * u], normals[v, 3 * u + 1], normals[v, 3 * u + 2]
+            x = plane[0, 0] * a + plane[0, 1] * b + plane[0, 2] * c
+            y = plane[1, 0] * a + plane[1, 1] * b + plane[1, 2] * c
+            z = plane[2, 0] * a + plane[2, 1] * b + plane[2, 2] * c
+            reach = np.sqrt(max(np.float32(1.0) - x * x - y * y - z * z, np.float32(0.0)))
+            reach = reach if n0 * plane[3, 0] + n1 * plane[3, 1] + n2 * plane[3, 2] > 0 else -reach
+            x, y, z = x + reach * plane[3, 0], y + reach * plane[3, 1], z + reach * plane[3, 2]
+            over = np.float32(1.0) / max(np.sqrt(x * x + y * y + z * z), np.float32(1e-6))
+            x, y, z = x * over - n0, y * over - n1, z * over - n2
+            turns[v, u, 0], turns[v, u, 1], turns[v, u, 2] = x, y, z
+            turns[v, u, 3] = x * x + y * y + z * z
+            count[v, u] = np.float32(1.0)
+
+
+@njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
+def _turn_kernel(
+    turns: FloatArray, mean: FloatArray, known: FloatArray, count: FloatArray, normals: FloatArray
+) -> None:
+    """Turn normals (h, 3 w) in place. mean, known: means of `turns` and `count` around each pixel."""
+    h, w = count.shape
+    for v in prange(h):
+        for u in range(w):
+            if count[v, u] == np.float32(0.0):
+                continue
+            x, y, z, square = mean[v, u, 0], mean[v, u, 1], mean[v, u, 2], mean[v, u, 3]
+            alike = (x * x + y * y + z * z) / max(known[v, u] * square, np.float32(1e-9))
+            x, y, z = (
+                normals[v, 3 * u] + alike * turns[v, u, 0],
+                normals[v, 3 * u + 1] + alike * turns[v, u, 1],
+                normals[v, 3 * u + 2] + alike * turns[v, u, 2],
+            )
+            over = np.float32(1.0) / max(np.sqrt(x * x + y * y + z * z), np.float32(1e-6))
+            normals[v, 3 * u], normals[v, 3 * u + 1], normals[v, 3 * u + 2] = x * over, y * over, z * over
 
 
 # How noisy the normals of one frame are: as far as no surface has them.

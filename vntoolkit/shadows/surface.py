@@ -144,7 +144,8 @@ class LabelledImage:
         return self.image.mask & (self.labels != ALL_LIT)
 
     @cached_property
-    def _cosines(self) -> FloatArray:
+    def cosines(self) -> FloatArray:
+        """(h, w, 3), contribution of each light over the albedo, the pixel's own where all arrive."""
         lit = self.image.mask & (self.labels == ALL_LIT)
         return self.image.light.relative_to(np.where(lit, self.image.light.length, self.albedo))
 
@@ -170,7 +171,7 @@ class LabelledImage:
         """Return the surface as `solve_surface` does; without first normals from those of full light."""
         light, trust = self.image.light, self.image.light.trust if self.trust is None else self.trust
         return solve_surface(
-            self._cosines, self.labels, light.lights, self.image.mask,
+            self.cosines, self.labels, light.lights, self.image.mask,
             first_normals=light.normals if first_normals is None else first_normals, guessed=guessed,
             weight=trust, camera=self.image.camera, options=options, start=start,
         )  # fmt: skip
