@@ -56,8 +56,8 @@ rays = RayGrid(*np.array([30.0, 20.0, 0.01, 0.01], np.float32))
 out = np.zeros((8, h, w), np.float32)
 lights = numbers_of(rng.normal(size=(3, 3)))
 quadratics_kernel(
-    flat(cosines), labels, cosines[..., 0].copy(), slopes, prior, lights, rays, model_of(SurfaceOptions(), settled=False),
-    out[:6], out[6:],
+    flat(cosines), labels, cosines[..., 0].copy(), slopes, prior, lights, rays,
+    model_of(SurfaceOptions(), settled=False), out[:6], out[6:],
 )
 print(hashlib.sha256(out.tobytes()).hexdigest())
 """

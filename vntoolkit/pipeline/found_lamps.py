@@ -20,12 +20,11 @@ from vntoolkit.pipeline.block_work import ReconstructionJob
 from vntoolkit.pipeline.frame_processor import FrameProcessor
 from vntoolkit.pipeline.options import MaterialSearch, Product
 from vntoolkit.shadows.detector import ShadowMethod
-from vntoolkit.shadows.lamp_directions import directions_from_unlit
+from vntoolkit.shadows.lamp_directions import SURE_DEG, directions_from_unlit
 
 logger = logging.getLogger(__name__)
 _LOOKED_AT = 5  # frames at once, evenly spread
-_SURE_DEG = 4.0  # standard deviation of a direction, to be told …
-_BETTER_DEG = 9.0  # … and to help: M's rows of a camera that mixes lamps are off by 4 to 9
+_BETTER_DEG = 9.0  # standard deviation of a direction that helps: M's rows of a camera that mixes lamps are off by 4 to 9
 _NOTHING_DEG = 30.0  # lamps stand not much farther apart
 _LEAST_LIGHT = -0.05  # of the strongest channel of a lamp: light is not negative
 
@@ -54,7 +53,7 @@ def with_found_lamps(
         job = replace(job, lamp_doubts_deg=tuple(doubts_deg))
         helps = doubts_deg <= _BETTER_DEG
         found = _with_colours(job.rig, np.where(helps[:, None], lamps.central, alone.light_directions))
-        if found is not None and rig is not job.rig and doubts_deg.max() <= _SURE_DEG:
+        if found is not None and rig is not job.rig and doubts_deg.max() <= SURE_DEG:
             colours = found.response.light_colours
             if colours is None or (colours < _LEAST_LIGHT * colours.max(axis=1, keepdims=True)).any():
                 break
@@ -71,13 +70,13 @@ def lamps_in_words(doubts_deg: Sequence[float]) -> str:
     """Return what shadows did not tell of the lamps, as part of a warning; empty if nobody looked."""
     if not doubts_deg:
         return ""
-    if max(doubts_deg) <= _SURE_DEG:
+    if max(doubts_deg) <= SURE_DEG:
         return "with the lamps where shadows on it tell them, M would need negative light: "
     told = ", ".join(
         f"lamp {k} to {doubt:.1f} degrees" if doubt < _NOTHING_DEG else f"lamp {k} not at all"
         for k, doubt in enumerate(doubts_deg)
     )
-    return f"shadows on it do not tell where the lamps stand ({told}; {_SURE_DEG:.0f} are needed of each): "
+    return f"shadows on it do not tell where the lamps stand ({told}; {SURE_DEG:.0f} are needed of each): "
 
 
 def _with_colours(rig: Rig, directions: Matrix3) -> Rig | None:

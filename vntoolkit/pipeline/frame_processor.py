@@ -9,7 +9,7 @@ from numba import prange
 
 from vntoolkit.arrays import BoolArray, Colours, FloatArray, LinearImage, Mask, VisibilityLabels
 from vntoolkit.checks import require_shape
-from vntoolkit.errors import BadCapture
+from vntoolkit.errors import BadCapture, BadRig
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
 from vntoolkit.integration.cast_shadows import steps_from_shadows
 from vntoolkit.integration.expected_error import with_expected_depth_error
@@ -27,6 +27,7 @@ from vntoolkit.normals.gel import GelInverter, drift_of_change
 from vntoolkit.normals.inversion import normals_from_encoded, normals_from_frame
 from vntoolkit.photometry.frame import ALL_LIT, LinearFrame
 from vntoolkit.photometry.levelling import leveller_of
+from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import Transfer, TransferCurve, encoded_from_linear
 from vntoolkit.pipeline.contact import contact_from_depth, rested
@@ -224,23 +225,21 @@ class FrameProcessor:
             # the mean over frames is in doubt as what one frame tells: frames err alike
             told = self._painted.turned_deg
             turned_deg = told if turned_deg is None or told is None else np.maximum(told, turned_deg)
-        labels, solved, has_shadows = None, False, self._options.shadows is not ShadowMethod.NONE
+        labels, lamps, has_shadows = None, None, self._options.shadows is not ShadowMethod.NONE
         level = linear
         if self._leveller is not None and (has_shadows or self._with_errors):
             level = self._leveller.frame(linear)
         if has_shadows:
-            normal_map, labels, solved = self._normals_under_shadow(linear, level)
+            normal_map, labels, lamps = self._normals_under_shadow(linear, level)
         else:
             normal_map = normals_from_frame(
                 linear, self._rig.response, self._mask, options=self._options.inversion
             )
         clipped_share = float(np.count_nonzero(linear.clipped)) / linear.clipped.size
-        lamps = None
-        if solved and labels is not None and self._options.to is not Product.NORMALS:
-            lamps = directions_from_shadows(level, labels, self._rig.response, normal_map.mask)
         if self._with_errors:
+            response = self._central if lamps is None else _by_lamp(lamps)
             normal_map = expected_error.with_expected_error(
-                normal_map, level, self._central, labels if solved else None, self.camera, residual_deg,
+                normal_map, level, response, None if lamps is None else labels, self.camera, residual_deg,
                 self._blur_px, self._residual_of_pixels,
             )  # fmt: skip
             if turned_deg is not None:
@@ -285,17 +284,20 @@ class FrameProcessor:
 
     def _normals_under_shadow(
         self, linear: LinearFrame, frame: LinearFrame
-    ) -> tuple[NormalMap, VisibilityLabels, bool]:
-        """Find shadows, then normals; whether by a surface. frame: `linear` as the central M forms it."""
+    ) -> tuple[NormalMap, VisibilityLabels, LampDirections | None]:
+        """Find shadows, then normals; lamps if by a surface. frame: `linear` as the central M forms it."""
         response, inversion = self._central, self._options.inversion
         labels, mask, seen = self._shadows(linear, frame)
         surface = self._detector.surface
-        if surface is not None and seen is not frame:
-            surface = replace(surface, image=None)
         if surface is None and not np.any(labels != ALL_LIT):
-            return normals_from_frame(frame, response, mask, options=inversion), labels, False
-        found = recover_surface(frame, labels, response, mask, self.camera, start=surface)
-        return found.normal_map, labels, True
+            return normals_from_frame(frame, response, mask, options=inversion), labels, None
+        lamps = directions_from_shadows(frame, labels, self._rig.response, mask)
+        by_lamp = _by_lamp(lamps)
+        is_same = (response.light_colours is None) is (by_lamp.light_colours is None) and seen is frame
+        if surface is not None and not is_same:
+            surface = replace(surface, image=None)
+        found = recover_surface(frame, labels, by_lamp, mask, self.camera, start=surface)
+        return found.normal_map, labels, lamps
 
     def by_strength(self, linear: LinearFrame) -> LinearFrame:
         """Return a linear frame with every lamp as strong as at the image's centre."""
@@ -352,6 +354,13 @@ class FrameProcessor:
             return shown
         nothing: BoolArray = np.zeros(shown.shape[:2], dtype=np.bool_)
         return self._resampler.frame(LinearFrame(rgb=shown, clipped=nothing)).rgb
+
+
+def _by_lamp(lamps: LampDirections) -> LightResponse:
+    try:
+        return lamps.separated
+    except BadRig:
+        return lamps.response.central
 
 
 @njit(cache=True)

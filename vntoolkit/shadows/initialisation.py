@@ -146,7 +146,7 @@ def _turns_kernel(
     cosines: FloatArray, labels: VisibilityLabels, inner: ByteArray, normals: FloatArray, planes: FloatArray,
     turns: FloatArray, count: FloatArray,
 ) -> None:  # fmt: skip
-    """Fill turns (h, w, 4), from normals to the nearer root, with its square, and count (h, w), 1 where known.
+    """Fill turns (h, w, 4), from normals to the nearer root, with the square; count (h, w), 1 where known.
 
     planes: (8, 4, 3) by label, what makes the part of a normal in the two lights' plane of the light, and the
     unit normal of that plane.

@@ -6,7 +6,7 @@ M⁻¹ (r − a) in the plane that is orthogonal to lamp k's direction: its norm
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -21,6 +21,7 @@ _MOST_PIXELS = 2_000  # evenly spread: more tell nothing new
 _ROUNDS = 8  # of the robust fit
 _TUNING = 2.0  # standard deviations from the plane at which a colour counts a quarter
 _MEDIAN_TO_DEVIATION = 1.4826
+SURE_DEG = 4.0  # standard deviation of a direction: M's rows of a camera that mixes lamps are off by 4 to 9
 _LEAST_OFFSET = 0.02  # of a colour, off its plane: what near lamps, half-light and interreflection leave
 
 
@@ -41,6 +42,19 @@ class LampDirections:
         """(3, 3), row k = unit vector to lamp k, in the camera frame, under the response at its centre."""
         lamps: Matrix3 = self.rows @ self.response.matrix
         return lamps / np.linalg.norm(lamps, axis=1, keepdims=True)
+
+    @property
+    def separated(self) -> LightResponse:
+        """The response at its centre with the lamps' colours, as far as their directions are sure.
+
+        A channel stands for each other lamp. Raises `BadRig` where that gives colours that are mixtures of
+        each other.
+        """
+        sure = self.doubts < np.radians(SURE_DEG)
+        if self.response.light_colours is not None or not sure.any():
+            return self.response.central
+        rows = np.where(sure[:, None], self.rows, np.eye(3))
+        return replace(self.response.central, light_colours=np.linalg.inv(rows).T)
 
     def at(self, lamp: int, positions_px: Points2) -> FloatArray:
         """Return unit vectors (n, 3) from the surface at pixels (n, 2) to a lamp, in the camera frame."""
