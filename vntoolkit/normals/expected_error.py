@@ -13,7 +13,9 @@ error of M, near lamps. Beside them
 - where a light is missing the normal rests on its surroundings. Two lights leave two normals, mirror images
   across the plane of the two. The distance from the found normal to the nearer of them counts. So does the
   distance to the other one, which may be the right one, unless found and nearer one both face away from the
-  missing light: that explains the shadow. One light leaves a cone of normals, which tells next to nothing.
+  missing light: that explains the shadow. Both hang on the albedo, which the surroundings tell: with it they
+  move in the plane of the two lights, and across it the more, the nearer to it they lie. One light leaves a
+  cone of normals, which tells next to nothing.
 """
 
 import math
@@ -64,6 +66,7 @@ _OF_RESIDUAL = 1.1  # of a median
 _OF_LENGTH = 2.75  # radians over log length
 _OF_LENGTHS = _OF_LENGTH / 2.0  # the same, over the root of the mean square in a cell
 _OF_TWO_LIGHTS = 1.2  # radians over the distances to the normals that two lights leave
+_ALBEDO_SPREAD = np.float32(0.03)  # relative standard deviation of lit pixels' albedo about the surroundings'
 # A sphere shows nine tenths of its image within this angle of the axis: what a guess without data is worth.
 _LARGEST_DEG = np.float32(71.6)
 _HALF_WEIGHT_DEG = 12.0
@@ -333,7 +336,7 @@ def _unlit_row(
     r: Any, g: Any, b: Any, normals: Any, label: Any, pairs: Any, k: Any, unlit: Any
 ) -> None:  # fmt: skip
     """Fill the squared bounds of a row of pixels that not all lights reach, 0 of the others."""
-    zero, one = np.float32(0.0), np.float32(1.0)
+    zero, one, two = np.float32(0.0), np.float32(1.0), np.float32(2.0)
     for u in range(len(label)):
         if label[u] == ALL_LIT:
             unlit[u] = zero
@@ -352,7 +355,9 @@ def _unlit_row(
         across = x * a0 + y * a1 + z * a2
         x, y, z = x - across * a0, y - across * a1, z - across * a2
         off = n0 * a0 + n1 * a1 + n2 * a2
-        height = np.sqrt(max(one - x * x - y * y - z * z, zero))
+        plane = x * x + y * y + z * z
+        moved = plane + plane * plane / (abs(one - plane) + two * _ALBEDO_SPREAD * plane + SHORTEST)
+        height = np.sqrt(max(one - plane, zero))
         height = height if off > zero else -height
         x, y, z = x + height * a0, y + height * a1, z + height * a2
         size = max(np.sqrt(x * x + y * y + z * z), SHORTEST)
@@ -362,7 +367,8 @@ def _unlit_row(
         if not behind and n2 - (off + off) * a2 < zero:  # the other normal faces the camera
             squared += np.float32(4.0) * off * off
         known = squared < np.float32(8.0)  # no NaN
-        unlit[u] = max(_PER_DISTANCE * squared, SHORTEST) if known else _LARGEST_DEG * _LARGEST_DEG
+        bound = _PER_DISTANCE * squared + _PER_NOISE * _ALBEDO_SPREAD * _ALBEDO_SPREAD * moved
+        unlit[u] = max(bound, SHORTEST) if known else _LARGEST_DEG * _LARGEST_DEG
 
 
 @njit(cache=True, parallel=True, fastmath=FLAGS, error_model="numpy")
