@@ -52,6 +52,22 @@ def test_flat_surface_in_shadow_leaves_the_direction_in_doubt() -> None:
     assert np.degrees(found.doubts[2]) > 20.0
 
 
+def test_light_is_split_by_the_lamps_that_are_sure() -> None:
+    frame, labels = seen(1.2, 0.0, np.s_[20:45])
+    found = directions_from_shadows(frame, labels, response(), np.ones(SHAPE, np.bool_)).separated
+    assert angle_deg(found.light_directions[2], LAMPS[2]) < 0.5
+    rows = response().light_directions
+    assert max(angle_deg(found.light_directions[k], rows[k]) for k in range(2)) < 1e-6  # as channels have it
+    contributions = frame.rgb @ found.contributions_from_rgb.T
+    assert np.abs(contributions[labels == 3, 2]).max() < 0.01  # what lamp 2 does not reach has none of it
+
+
+def test_light_stays_as_channels_have_it_where_no_lamp_is_sure() -> None:
+    frame, labels = seen(0.02, 0.003, np.s_[20:45])
+    found = directions_from_shadows(frame, labels, response(), np.ones(SHAPE, np.bool_))
+    assert found.separated.light_colours is None
+
+
 def test_few_pixels_leave_the_lamp_unknown() -> None:
     frame, labels = seen(0.6, 0.003, np.s_[20:24, 20:30])
     found = directions_from_shadows(frame, labels, response(), np.ones(SHAPE, np.bool_))

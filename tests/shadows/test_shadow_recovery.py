@@ -12,6 +12,7 @@ import pytest
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.photometry.frame import LinearFrame, count_lit
+from vntoolkit.photometry.response import LightResponse
 from vntoolkit.shadows import initialisation, surface
 from vntoolkit.shadows.albedo import albedo_from_lit, fill_smoothly
 from vntoolkit.shadows.detector import ShadowDetector
@@ -334,3 +335,23 @@ def test_a_step_in_depth_does_not_bend_the_surface_beside_it(monkeypatch) -> Non
     plain = float(degrees(first, normals)[away].mean())
     assert error(10.0) < 0.5 * plain  # noise is averaged away, the step is not
     assert error(surface.NO_STEP) > plain  # without breaking, the step spreads over both planes
+
+
+def test_a_shadow_cast_over_a_step_keeps_the_light_of_two_lamps() -> None:
+    """A wall before a bent one, whose lamp reaches neither the step nor what lies beside it."""
+    height, width, rim, end = 100, 140, 50, 110
+    v, u = np.mgrid[:height, :width]
+    across = np.where(u < rim, -0.3 + 0.002 * u, 0.45 - 0.004 * (u - rim))
+    slopes = np.stack([across, 0.2 - 0.004 * v], axis=-1)
+    normals = np.concatenate([slopes, -np.ones((height, width, 1))], axis=-1)
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    lights = np.array([[-0.5, 0.1, -0.86], [0.35, 0.3, -0.89], [0.1, -0.45, -0.89]])
+    labels = np.where((u >= rim) & (u < end), 6, 7).astype(np.uint8)
+    arrives = (labels[..., None] >> np.arange(3)) & 1
+    rgb = normals @ lights.T * arrives + np.random.default_rng(4).normal(0.0, 0.004, normals.shape)
+    frame = LinearFrame(rgb=rgb.astype(np.float32), clipped=np.zeros((height, width), bool))
+    response = LightResponse(matrix=lights, light_colours=np.eye(3))
+    found = recover_normals(frame, labels, response)
+    off = degrees(found.normals_in_camera, normals)
+    assert off[labels == 6].mean() < 5.0  # 4.0; a depth that bends at the rim, taken at its word, makes 6.2
+    assert off[labels == 7].mean() < 1.0

@@ -6,6 +6,7 @@ lead to the other. Every shadow keeps the one whose surface returns the light th
 """
 
 from dataclasses import replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -17,7 +18,7 @@ from vntoolkit.native import njit
 from vntoolkit.photometry.frame import ALL_LIT, LinearFrame, count_lit
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.shadows.contributions import contributions_from_frame, flat, lengths_of
-from vntoolkit.shadows.surface import LabelledImage, Surface, SurfaceOptions
+from vntoolkit.shadows.surface import ALBEDO_SPREAD, LabelledImage, Surface, SurfaceOptions
 
 _LARGEST_MISFIT = 25.0  # χ² of one pixel beyond which it says no more about its region
 _MEDIAN_TO_DEVIATION = 1.4826
@@ -31,6 +32,8 @@ _PAIRS = ((1, 2, 6), (0, 2, 5), (0, 1, 3))  # the two lights that remain, and th
 TRUST_BY_LIGHTS = (1.0, 0.2, 2.0, 1.0)
 _NOISE_PER_SLOPE = 1.7  # noise of a cosine per noise of a slope, on cleaner frames
 _LEAST_NOISE = 0.01  # of a cosine
+_LEAST_SPREAD, _DARKEST = 0.01, 1e-3  # of the albedo, of which no pixel is darker
+_FARTHER = 2.0  # an albedo 16 pixels off is known 1.0 to 1.5 times less well, most shadows lie farther off
 _START_PIXELS = 15_000  # frames are halved until they are not larger; there the starts are compared
 _CHECKING_ITERATIONS = 4  # steps there of a surface that is given
 _MIDDLE_ITERATIONS, _LARGE_ITERATIONS = 4, 3  # steps at every larger size, and at the largest, …
@@ -52,7 +55,7 @@ def solve_from_best_initialisation(
     large = replace(options, iterations=_LARGE_ITERATIONS, settled=_SETTLED_ITERATIONS)
     surfaces = [image.solve(large, each) for each in (start, found) if each is not None]
     least = min(surfaces, key=lambda surface: np.minimum(surface.misfit, _LARGEST_MISFIT)[image.shadow].sum())
-    return replace(least, normals=_turned_to_light(least.normals, image))
+    return replace(least, normals=_turned_to_light(least.normals, image, options.spread))
 
 
 def _trusted(labelled: LabelledImage) -> LabelledImage:
@@ -75,9 +78,9 @@ def _better_than(start: Surface | None, image: LabelledImage, options: SurfaceOp
     return found.enlarged(mask.shape, 2)
 
 
-def options_with_noise(slope: float | None) -> SurfaceOptions:
-    """Return what recovery asks of a surface whose slopes have this noise, None where it is not known."""
-    options = SurfaceOptions()
+def options_of_frame(slope: float | None, spread: float) -> SurfaceOptions:
+    """Return what recovery asks of a surface. slope: the noise of slopes, None where it is not known."""
+    options = SurfaceOptions(spread=spread)
     if slope is None:
         return options
     return replace(options, noise=min(options.noise, max(_NOISE_PER_SLOPE * slope, _LEAST_NOISE)))
@@ -118,12 +121,13 @@ def _better_regions(first: FloatArray, second: FloatArray, shadow: Mask) -> Mask
     return np.asarray(shadow & clear[region])
 
 
-def _turned_to_light(normals: Normals, image: LabelledImage) -> Normals:
+def _turned_to_light(normals: Normals, image: LabelledImage, spread: float) -> Normals:
     """Turn normals under two lights towards the nearer of those that the light leaves (`onn1990`).
 
     A depth that holds together bends where it steps in truth, and with it the normals around. Then neighbours
     are turned alike; noise turns each another way. With d the turn of one pixel, the part of it that is no
-    noise is |mean d|² over the mean of |d|² (Wiener's filter).
+    noise is |mean d|² over the mean of |d|² (Wiener's filter). An albedo that is off turns them alike, too:
+    that part counts by the share of the variance that slopes started from beyond the frame's own `spread`².
     """
     inner = cv2.erode(image.image.mask.astype(np.uint8), _OUTLINE)
     light, planes = image.image.light, np.zeros((8, 4, 3))
@@ -136,8 +140,9 @@ def _turned_to_light(normals: Normals, image: LabelledImage) -> Normals:
     _turns_kernel(
         flat(image.cosines), image.labels, inner, flat(normals), planes.astype(np.float32), turns, count
     )
+    share = np.float32(1.0 - (spread / ALBEDO_SPREAD) ** 2)
     out = np.array(normals)
-    _turn_kernel(turns, cv2.blur(turns, _AROUND), cv2.blur(count, _AROUND), count, flat(out))
+    _turn_kernel(turns, cv2.blur(turns, _AROUND), cv2.blur(count, _AROUND), count, share, flat(out))
     return out
 
 
@@ -174,7 +179,7 @@ def _turns_kernel(
 
 @njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
 def _turn_kernel(
-    turns: FloatArray, mean: FloatArray, known: FloatArray, count: FloatArray, normals: FloatArray
+    turns: FloatArray, mean: FloatArray, known: FloatArray, count: FloatArray, share: Any, normals: FloatArray
 ) -> None:
     """Turn normals (h, 3 w) in place. mean, known: means of `turns` and `count` around each pixel."""
     h, w = count.shape
@@ -183,7 +188,7 @@ def _turn_kernel(
             if count[v, u] == np.float32(0.0):
                 continue
             x, y, z, square = mean[v, u, 0], mean[v, u, 1], mean[v, u, 2], mean[v, u, 3]
-            alike = (x * x + y * y + z * z) / max(known[v, u] * square, np.float32(1e-9))
+            alike = share * (x * x + y * y + z * z) / max(known[v, u] * square, np.float32(1e-9))
             x, y, z = (
                 normals[v, 3 * u] + alike * turns[v, u, 0],
                 normals[v, 3 * u + 1] + alike * turns[v, u, 1],
@@ -191,6 +196,19 @@ def _turn_kernel(
             )
             over = np.float32(1.0) / max(np.sqrt(x * x + y * y + z * z), np.float32(1e-6))
             normals[v, 3 * u], normals[v, 3 * u + 1], normals[v, 3 * u + 2] = x * over, y * over, z * over
+
+
+def spread_of_albedo(image: LabelledImage) -> float:
+    """Return how well the surroundings tell a shadow's albedo, no worse than what slopes start from.
+
+    Told by the root of the mean squared difference of logs where all lights arrive.
+    """
+    lit = cv2.erode((image.image.mask & ~image.shadow).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    if not lit.any():
+        return ALBEDO_SPREAD
+    ratio = np.maximum(image.image.light.length[lit], _DARKEST) / np.maximum(image.albedo[lit], _DARKEST)
+    spread = _FARTHER * np.sqrt(np.mean(np.log(ratio) ** 2))
+    return float(np.clip(spread, _LEAST_SPREAD, ALBEDO_SPREAD))
 
 
 # How noisy the normals of one frame are: as far as no surface has them.

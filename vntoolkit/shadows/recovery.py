@@ -44,8 +44,9 @@ from vntoolkit.shadows.initialisation import (
     TRUST_BY_LIGHTS,
     continue_with_two_lights,
     noise_of_frame,
-    options_with_noise,
+    options_of_frame,
     solve_from_best_initialisation,
+    spread_of_albedo,
 )
 from vntoolkit.shadows.shadow_edges import labels_without_penumbra
 from vntoolkit.shadows.surface import (
@@ -181,8 +182,9 @@ def _with_surface(
         )
         labels = labels_without_penumbra(labels, relative, inside, near)
         small_labels = _shrunk(labels, image.mask.shape)
-    options = options_with_noise(noise_of_frame(rgb, response, inside & (labels == ALL_LIT)))
     labelled = LabelledImage(image=image, labels=small_labels, albedo=albedo)
+    noise = noise_of_frame(rgb, response, inside & (labels == ALL_LIT))
+    options = options_of_frame(noise, spread_of_albedo(labelled))
     surface = solve_from_best_initialisation(labelled, options, start)
     solved = np.stack([*np.moveaxis(surface.normals, -1, 0), albedo, surface.agreement]).astype(np.float32)
     normals, weight = np.zeros_like(rgb), np.zeros(frame.shape, np.float32)

@@ -47,8 +47,7 @@ from vntoolkit.solvers import grid_hierarchy, solve_grid
 Grid = Float32Array
 Labels = ByteArray
 # The energy; cosines are 1 where a surface of the local albedo faces the light.
-_ALBEDO_SPREAD = 0.15  # relative standard deviation of the albedo continued into a shadow, …
-_SETTLED_SPREAD = 0.03  # … and as it is: that of lit pixels' albedo about their surroundings', 1 to 4 %
+ALBEDO_SPREAD = 0.15  # relative standard deviation of the albedo continued into a shadow
 _OWN_ALBEDO_SPREAD = 3.0  # the same where all three lights arrive: there the colour's length is the albedo
 _STEP_SOFTNESS = 10.0  # χ² at which a depth gradient counts a quarter, as it crosses a step in depth
 _SHADOW_STEP_SOFTNESS = 40.0  # the same under two lights, where the slope hangs on the albedo around
@@ -65,14 +64,15 @@ class SurfaceOptions:
 
     noise: standard deviation of a light's cosine; it stands for camera noise and for what the model leaves
     out (interreflection, gloss). smoothness: weight of a shadowed pixel's slope being its surroundings' mean.
-    iterations: Gauss–Newton steps. settled: how many of them, the last ones, take the light under shadow at
-    its word. cycles: of multigrid in each, at most.
+    iterations: Gauss–Newton steps. settled: how many of them, the last ones, know the albedo under shadow to
+    `spread`, its relative standard deviation. cycles: of multigrid in each, at most.
     """
 
     noise: float = 0.03
     smoothness: float = 3.0
     iterations: int = 8
     settled: int = 0
+    spread: float = ALBEDO_SPREAD
     cycles: int = 4
 
 
@@ -237,9 +237,11 @@ def model_of(options: SurfaceOptions, *, settled: bool) -> "Model":
     settled: whether every slope is on its side. Two lights under a known albedo leave two slopes with a ridge
     between them; one that is hardly known lets a slope cross, but then the light tells little.
     """
+    spread = options.spread if settled else ALBEDO_SPREAD
+    missing = _MISSING_LIGHT_WEIGHT * (spread / ALBEDO_SPREAD) ** 2  # the better two lights tell, the less
     values = (
-        options.noise, _SETTLED_SPREAD if settled else _ALBEDO_SPREAD, _OWN_ALBEDO_SPREAD, options.smoothness,
-        _DAMPING, 0.0 if settled else _MISSING_LIGHT_WEIGHT, _MISSING_LIGHT_CUTOFF,
+        options.noise, spread, _OWN_ALBEDO_SPREAD, options.smoothness, _DAMPING, missing,
+        _MISSING_LIGHT_CUTOFF,
     )  # fmt: skip
     return Model(*(np.float32(value) for value in values))
 
