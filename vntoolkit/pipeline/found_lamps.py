@@ -24,7 +24,7 @@ from vntoolkit.shadows.lamp_directions import SURE_DEG, directions_from_unlit
 
 logger = logging.getLogger(__name__)
 _LOOKED_AT = 5  # frames at once, evenly spread
-_BETTER_DEG = 9.0  # standard deviation of a direction that helps: M's rows of a camera that mixes lamps are off by 4 to 9
+_BETTER_DEG = 9.0  # deviation of a direction that helps: M's rows of a camera that mixes lamps are 4 to 9 off
 _NOTHING_DEG = 30.0  # lamps stand not much farther apart
 _LEAST_LIGHT = -0.05  # of the strongest channel of a lamp: light is not negative
 
