@@ -2,14 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
-from numba import prange
 
 from vntoolkit.arrays import BoolArray, Colours, FloatArray, LinearImage, Mask, VisibilityLabels
 from vntoolkit.checks import require_shape
-from vntoolkit.errors import BadCapture, BadRig
+from vntoolkit.errors import BadCapture, BadInput, BadRig
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
 from vntoolkit.integration.cast_shadows import steps_from_shadows
 from vntoolkit.integration.expected_error import with_expected_depth_error
@@ -21,10 +19,10 @@ from vntoolkit.materials.labelling import MaterialLabeller
 from vntoolkit.materials.pixels import MaterialLabels
 from vntoolkit.materials.relighting import box_of, colours_of
 from vntoolkit.meshing.surface import mesh_from_depth
-from vntoolkit.native import keep_freed_memory, njit
+from vntoolkit.native import keep_freed_memory
 from vntoolkit.normals import expected_error
 from vntoolkit.normals.gel import GelInverter, drift_of_change
-from vntoolkit.normals.inversion import normals_from_encoded, normals_from_frame
+from vntoolkit.normals.inversion import normals_from_encoded, normals_from_frame, relative_albedo_from_frame
 from vntoolkit.photometry.frame import ALL_LIT, LinearFrame
 from vntoolkit.photometry.levelling import leveller_of
 from vntoolkit.photometry.response import LightResponse
@@ -39,7 +37,7 @@ from vntoolkit.shadows.detector import ShadowDetector, ShadowMethod
 from vntoolkit.shadows.lamp_directions import LampDirections, directions_from_shadows, unlit_by_lamp
 from vntoolkit.shadows.recovery import recover_surface
 
-_SAMPLED, _BINS = 4, 4096  # every fourth pixel of every fourth row tells how bright a subject is
+_SAMPLES = (slice(None, None, 4),) * 2  # these pixels tell how bright a subject is
 
 
 class FrameProcessor:
@@ -305,9 +303,12 @@ class FrameProcessor:
 
     def lit_subject(self, linear: LinearFrame) -> Mask:
         """Return (h, w), the pixels of interest without the backdrop, whose noise is like dark paint."""
-        ambient = self._central.ambient.astype(np.float32)
-        darkest = self._options.inversion.darkest * _bright(linear.rgb, ambient, self._mask, _SAMPLED, 0.99)
-        return np.asarray(_brighter(linear.rgb, ambient, np.float32(darkest), self._mask))
+        sampled = LinearFrame(rgb=linear.rgb[_SAMPLES], clipped=linear.clipped[_SAMPLES])
+        try:
+            albedo = relative_albedo_from_frame(sampled, self._central, self._mask[_SAMPLES])
+        except BadInput:  # all is black
+            return np.zeros_like(self._mask)
+        return brighter_than(linear, self._central, self._options.inversion.darkest * albedo, self._mask)
 
     @property
     def mask(self) -> Mask:
@@ -361,39 +362,3 @@ def _by_lamp(lamps: LampDirections) -> LightResponse:
         return lamps.separated
     except BadRig:
         return lamps.response.central
-
-
-@njit(cache=True)
-def _bright(rgb: Any, ambient: Any, mask: Any, step: int, share: float) -> float:
-    """Return the quantile of the brightest channel, without ambient light, of every step-th pixel of every
-    step-th row, to a bin of its histogram.
-    """
-    h, w = mask.shape
-    values, count, most = np.empty((h // step + 1) * (w // step + 1), np.float32), 0, np.float32(1e-9)
-    for v in range(0, h, step):
-        for u in range(0, w, step):
-            if mask[v, u]:
-                r, g, b = rgb[v, u, 0] - ambient[0], rgb[v, u, 1] - ambient[1], rgb[v, u, 2] - ambient[2]
-                values[count] = max(r, g, b)
-                most = max(most, values[count])
-                count += 1
-    bins, per_bin = np.zeros(_BINS + 1, np.int64), np.float32(_BINS) / most
-    for i in range(count):
-        bins[int(max(values[i] * per_bin, np.float32(0.0)))] += 1
-    found, below = 0, bins[0]
-    while below <= share * count and found < _BINS:
-        found += 1
-        below += bins[found]
-    return float(found / per_bin)
-
-
-@njit(cache=True, parallel=True)
-def _brighter(rgb: Any, ambient: Any, least: Any, mask: Any) -> Any:
-    """(h, w), where in the mask the brightest channel is above `least`, without ambient light."""
-    out = np.empty(mask.shape, np.bool_)
-    r0, g0, b0 = ambient[0] + least, ambient[1] + least, ambient[2] + least
-    for v in prange(len(rgb)):
-        for u in range(rgb.shape[1]):
-            is_bright = (rgb[v, u, 0] > r0) | (rgb[v, u, 1] > g0) | (rgb[v, u, 2] > b0)
-            out[v, u] = mask[v, u] & is_bright
-    return out
