@@ -23,6 +23,7 @@ from vntoolkit.photometry.response import LightResponse, with_near_lamps
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline import measured_materials
 from vntoolkit.pipeline.block_work import ReconstructionJob
+from vntoolkit.pipeline.frame_processor import FrameProcessor
 from vntoolkit.pipeline.options import MaterialSearch, Product, ReconstructOptions
 from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.reconstruct import _in_one_material, reconstruct
@@ -226,3 +227,18 @@ def test_a_number_is_refused_where_the_lamps_colours_are_not_known(striped: Reco
     assert not job.folder.root.exists()
     with pytest.raises(BadInput, match="expected auto, calibrated or a number from 1 to 12, got 0"):
         ReconstructOptions(materials=0)
+
+
+def test_dark_hair_belongs_to_the_subject_and_the_backdrops_noise_does_not() -> None:
+    normals, mask = dome()
+    hair = mask & (np.arange(SIZE)[:, None] < SIZE // 3)
+    paints = np.where(hair, 0.06, 1.0) * mask
+    light = np.maximum(normals @ DIRECTIONS.T, 0) @ COLOURS * paints[..., None]
+    noise = np.random.default_rng(0).normal(0, 0.7 / 255, light.shape)
+    camera = Camera.orthographic(width=SIZE, height=SIZE)
+    options = ReconstructOptions(to=Product.NORMALS)
+    processor = FrameProcessor(Rig(camera=camera, response=RESPONSE), options, reflectances=[[1, 1, 1]])
+    subject = processor.lit_subject(LinearFrame((light + noise).astype(np.float32)))
+    assert subject[hair].mean() > 0.95  # by the brightest channel 0.82
+    assert subject[mask & ~hair].all()
+    assert subject[~mask].mean() < 0.03
