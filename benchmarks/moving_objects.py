@@ -12,8 +12,6 @@ shares of those that are reported lost.
 
 from __future__ import annotations
 
-import argparse
-import os
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +21,7 @@ from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 
 import vntoolkit as vt
+from benchmarks.painted_objects import parser_of_objects
 from vntoolkit.arrays import Faces, FloatArray, Points, Vectors
 from vntoolkit.evaluation.track_error import LOST_PX, anchors_on_mesh, visible
 from vntoolkit.geometry.camera import Camera
@@ -160,13 +159,7 @@ def tracked(name: str, folder: Path, seed: int, frames: int, out: Path) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    default = os.environ.get("VNTOOLKIT_REAL_DATA")
-    parser.add_argument(
-        "--data", type=Path, default=Path(default) / "normal_integration" if default else None
-    )
+    parser = parser_of_objects(__doc__)
     parser.add_argument("--objects", nargs="+", default=OBJECTS)
     parser.add_argument("--seeds", type=int, nargs="+", default=[1])
     parser.add_argument("--frames", type=int, default=61)

@@ -65,14 +65,20 @@ def _angles_deg(one: FloatArray, other: FloatArray) -> FloatArray:
     return np.degrees(np.arccos(np.clip((one * other).sum(axis=-1), -1.0, 1.0)))
 
 
-def main() -> None:
+def parser_of_objects(description: str | None) -> argparse.ArgumentParser:
+    """Return a parser with `--data`, by default the objects among the real photographs."""
     parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+        description=description, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     default = os.environ.get("VNTOOLKIT_REAL_DATA")
     parser.add_argument(
         "--data", type=Path, default=Path(default) / "normal_integration" if default else None
     )
+    return parser
+
+
+def main() -> None:
+    parser = parser_of_objects(__doc__)
     parser.add_argument("--seeds", type=int, nargs="+", default=[1])
     parser.add_argument("--out", type=Path)
     arguments = parser.parse_args()

@@ -53,7 +53,8 @@ def with_found_lamps(
         job = replace(job, lamp_doubts_deg=tuple(doubts_deg))
         helps = doubts_deg <= _BETTER_DEG
         found = _with_colours(job.rig, np.where(helps[:, None], lamps.central, alone.light_directions))
-        if found is not None and rig is not job.rig and doubts_deg.max() <= SURE_DEG:
+        is_second_look = rig is not job.rig
+        if found is not None and is_second_look and doubts_deg.max() <= SURE_DEG:
             colours = found.response.light_colours
             if colours is None or (colours < _LEAST_LIGHT * colours.max(axis=1, keepdims=True)).any():
                 break

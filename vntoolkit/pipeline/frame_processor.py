@@ -7,7 +7,7 @@ import numpy as np
 
 from vntoolkit.arrays import BoolArray, Colours, FloatArray, LinearImage, Mask, VisibilityLabels
 from vntoolkit.checks import require_shape
-from vntoolkit.errors import BadCapture, BadInput, BadRig
+from vntoolkit.errors import BadCapture, BadInput
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
 from vntoolkit.integration.cast_shadows import steps_from_shadows
 from vntoolkit.integration.expected_error import with_expected_depth_error
@@ -25,7 +25,6 @@ from vntoolkit.normals.gel import GelInverter, drift_of_change
 from vntoolkit.normals.inversion import normals_from_encoded, normals_from_frame, relative_albedo_from_frame
 from vntoolkit.photometry.frame import ALL_LIT, LinearFrame
 from vntoolkit.photometry.levelling import leveller_of
-from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import Transfer, TransferCurve, encoded_from_linear
 from vntoolkit.pipeline.contact import contact_from_depth, rested
@@ -235,7 +234,7 @@ class FrameProcessor:
             )
         clipped_share = float(np.count_nonzero(linear.clipped)) / linear.clipped.size
         if self._with_errors:
-            response = self._central if lamps is None else _by_lamp(lamps)
+            response = self._central if lamps is None else lamps.separated
             normal_map = expected_error.with_expected_error(
                 normal_map, level, response, None if lamps is None else labels, self.camera, residual_deg,
                 self._blur_px, self._residual_of_pixels,
@@ -290,11 +289,10 @@ class FrameProcessor:
         if surface is None and not np.any(labels != ALL_LIT):
             return normals_from_frame(frame, response, mask, options=inversion), labels, None
         lamps = directions_from_shadows(frame, labels, self._rig.response, mask)
-        by_lamp = _by_lamp(lamps)
-        is_same = (response.light_colours is None) is (by_lamp.light_colours is None) and seen is frame
-        if surface is not None and not is_same:
+        is_same = (response.light_colours is None) is (lamps.separated.light_colours is None)
+        if surface is not None and not (is_same and seen is frame):
             surface = replace(surface, image=None)
-        found = recover_surface(frame, labels, by_lamp, mask, self.camera, start=surface)
+        found = recover_surface(frame, labels, lamps.separated, mask, self.camera, start=surface)
         return found.normal_map, labels, lamps
 
     def by_strength(self, linear: LinearFrame) -> LinearFrame:
@@ -355,10 +353,3 @@ class FrameProcessor:
             return shown
         nothing: BoolArray = np.zeros(shown.shape[:2], dtype=np.bool_)
         return self._resampler.frame(LinearFrame(rgb=shown, clipped=nothing)).rgb
-
-
-def _by_lamp(lamps: LampDirections) -> LightResponse:
-    try:
-        return lamps.separated
-    except BadRig:
-        return lamps.response.central

@@ -160,9 +160,10 @@ def _told(found: list[Material], choice: MaterialSearch | int) -> list[Material]
         return found
     spread = "the normals spread too little, or two lamps are too alike in colour"
     if len(found) == 1:
+        turn = f"{worst:.0f} degrees" if worst < 90.0 else "more than 90 degrees"
         message = (
-            f"materials: the subject's reflectance cannot be told (its error turns normals by {worst:.0f} "
-            f"degrees): {spread}; {_REMEDY}"
+            f"materials: the subject's reflectance cannot be told (its error turns normals by {turn}): "
+            f"{spread}; {_REMEDY}"
         )
         if choice is not MaterialSearch.AUTO:
             raise BadInput(message)

@@ -7,11 +7,13 @@ M⁻¹ (r − a) in the plane that is orthogonal to lamp k's direction: its norm
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from vntoolkit.arrays import FloatArray, Mask, Matrix3, Points2, Vector3, VisibilityLabels
+from vntoolkit.errors import BadRig
 from vntoolkit.native import njit
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
@@ -43,18 +45,20 @@ class LampDirections:
         lamps: Matrix3 = self.rows @ self.response.matrix
         return lamps / np.linalg.norm(lamps, axis=1, keepdims=True)
 
-    @property
+    @cached_property
     def separated(self) -> LightResponse:
         """The response at its centre with the lamps' colours, as far as their directions are sure.
 
-        A channel stands for each other lamp. Raises `BadRig` where that gives colours that are mixtures of
-        each other.
+        A channel stands for each other lamp. Without colours where none is sure, or they mix each other's.
         """
         sure = self.doubts < np.radians(SURE_DEG)
         if self.response.light_colours is not None or not sure.any():
             return self.response.central
         rows = np.where(sure[:, None], self.rows, np.eye(3))
-        return replace(self.response.central, light_colours=np.linalg.inv(rows).T)
+        try:
+            return replace(self.response.central, light_colours=np.linalg.inv(rows).T)
+        except BadRig:
+            return self.response.central
 
     def at(self, lamp: int, positions_px: Points2) -> FloatArray:
         """Return unit vectors (n, 3) from the surface at pixels (n, 2) to a lamp, in the camera frame."""
