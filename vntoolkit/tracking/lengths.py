@@ -9,6 +9,10 @@ Two guesses, each by how well it does where the nodes around are measured:
 - The whole moves as one body, and a place as what is measured beside it (`body_motion`). It is right for an
   ear behind the cheek's rim.
 
+Lengths are read where a node is believed to be. Where the surface is hidden there, or the node has slipped,
+they are another surface's. So they are right with some probability only: the less, the worse they agree with
+the body, by what either may err.
+
 Where the two differ, which of them holds is a doubt that all links share. So is whether a place moves beside
 the whole as it seems to, the more, the farther that is beyond what the body departs from the whole elsewhere:
 what slips, and draws its surroundings along, looks like that.
@@ -37,10 +41,13 @@ _BODY_STRAIN = 0.3  # the same, of a surface taken for one body: a face that tal
 _PRIOR_LINKS = 0.2  # measured links nearby that the two count for
 _NEAR_PASSES = 8  # of lattice smoothing: how far around a guess's success counts
 _NORMAL_ERROR = 0.05  # radians: shading that departs from the model turns normals by 3°
+_HALF_WEIGHT_ERROR = np.radians(12.0)  # of a normal that weighs half
+_INDEPENDENT = 8.0  # such errors in a cell: they are alike over some pixels, and average out over the rest
+_MISTAKEN = 0.05  # share of lengths that are another surface's where nothing is known to be hidden
 _SLOW_DEGREE = 2  # of the polynomials in place that vary slowly
 TURN = 0.1  # standard deviation of a slow turn in one step of the fit, radians
 _TURN_PASSES = 2  # of lattice smoothing: the turn in the image is that of the surroundings
-_WHOLE = 0.5  # mean weight of the slopes in a cell from which they are fully trusted
+_LEAST_WEIGHT = 1e-3  # mean of the slopes' in a cell that is divided by
 # Nine in ten errors in the plane are within √(ln 10) = 1.5 of a root mean square that is known, and within 3
 # of one that a single departure tells (F with 2 and 2 degrees of freedom).
 _SINGLE = 2.0
@@ -107,9 +114,7 @@ class LinkLengths:
         """
         a, b = self.links.T
         by_lengths, steepness, seen, contour = self._by_lengths(positions_px, around, slopes, depth_map)
-        trust = np.clip(np.minimum(seen, self._seen) / (_WHOLE * np.maximum(self._counts, 1)), 0.0, 1.0)
-        trust = trust * (1.0 - hidden)
-        trusted = np.minimum(trust[a], trust[b])
+        in_sight = 1.0 - np.maximum(hidden[a], hidden[b])
         now = self.nodes(positions_px)
         reliable = (1.0 - hidden) * measured + _LEAST_RELIABLE
         tested = np.minimum(reliable[a], reliable[b])
@@ -118,16 +123,16 @@ class LinkLengths:
         by_body = self.along + whole + own
         steps = now[b] - now[a]
         square = np.sum(self.along**2, axis=1)
-        grazing = _NORMAL_ERROR**2 * np.maximum(steepness[a], steepness[b])
-        variances = [
-            self._near_mean(_strain(steps - by_lengths, square), tested * trusted, STRAIN**2)
-            + grazing
-            + 1
-            - trusted,
-            self._near_mean(_strain(steps - by_body, square), tested, _BODY_STRAIN**2)
-            + np.square(field.errors).sum(axis=(1, 2)),
-        ]
-        share = variances[1] / (variances[0] + variances[1])
+        weight = np.clip(np.minimum(seen, self._seen) / np.maximum(self._counts, 1), _LEAST_WEIGHT, 1.0)
+        turned = _NORMAL_ERROR**2 + _HALF_WEIGHT_ERROR**2 / _INDEPENDENT * (1.0 / weight - 1.0)
+        grazing = np.maximum(*(turned * steepness)[self.links.T])
+        of_lengths = self._near_mean(_strain(steps - by_lengths, square), tested, STRAIN**2)
+        of_lengths += grazing
+        of_body = self._near_mean(_strain(steps - by_body, square), tested, _BODY_STRAIN**2)
+        of_body += np.square(field.errors).sum(axis=(1, 2))
+        apart = np.sum((by_lengths - by_body) ** 2, axis=1) / square
+        right = _share_right((1.0 - _MISTAKEN) * in_sight, apart, of_lengths + of_body)
+        share = right * of_body / (of_lengths + of_body)
         mean = share[:, None] * by_lengths + (1.0 - share)[:, None] * by_body
         departs = np.sum(own**2, axis=1)
         unlikely = departs / (departs + 2.0 * field.variance * square)
@@ -136,7 +141,7 @@ class LinkLengths:
             (_SINGLE * (1.0 - share) * np.sqrt(unlikely))[:, None] * own,
         ]
         drawn = ((1.0 - share) * np.sqrt(square))[:, None, None] * field.errors
-        variance = square * np.minimum(*variances)
+        variance = square * np.minimum(of_lengths + 1.0 - in_sight, of_body)
         slip = square * (_CONTOUR_STRAIN * likely) ** 2
         return LinkGuess(
             steps=mean,
@@ -205,6 +210,17 @@ class LinkLengths:
         sums = self._lattice.smoothed(sums, _NEAR_PASSES) / 3.0**_NEAR_PASSES
         mean = (sums[:, 0] + _PRIOR_LINKS * prior) / (sums[:, 1] + _PRIOR_LINKS)
         return np.asarray(0.5 * (mean[self.links[:, 0]] + mean[self.links[:, 1]]))
+
+
+def _share_right(before: FloatArray, apart: FloatArray, variance: FloatArray) -> npt.NDArray[np.float64]:
+    """Return (links,) how likely guesses are right that differ from others by so much, squared strain.
+
+    before: how likely that is by itself. variance: of the difference where they are right, by direction.
+    Where they are wrong they err by as much as the link is long.
+    """
+    right = before / variance * np.exp(-0.5 * apart / variance)
+    wrong = (1.0 - before) / (1.0 + variance) * np.exp(-0.5 * apart / (1.0 + variance))
+    return np.asarray(right / (right + wrong))
 
 
 def uniform_strains(steps: FloatArray) -> npt.NDArray[np.float64]:

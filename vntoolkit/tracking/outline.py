@@ -68,7 +68,8 @@ class Outline:
         """Return information (m, 3) and pull (m, 2), in pixels of the frame. inverse: (m, 2, 2) J⁻¹ at nodes.
 
         An outline that is far off, or that faces another way, is not this border's: a leg has none on its
-        inner side while the other passes before it.
+        inner side while the other passes before it. As far as it may be an occluding contour, the surface may
+        have slid beneath it, and it tells that much less.
         """
         h, w = field.shape[:2]
         position = positions_px[self._border]
@@ -84,17 +85,19 @@ class Outline:
         )
         outward = np.einsum("nji,nj->ni", inverse[self._node], self._outward)
         outward /= np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-9)
-        openness = openness * np.maximum((outward * at[:, 1:3]).sum(axis=1), 0.0)
         residual = self._own - at[:, 0]
-        openness = openness / (1.0 + (residual / _FAR_PX) ** 2) ** 2
-        information, pull = self._gathered(self._node, at[:, 1:3], residual, openness, _SIGMA_PX)
+        likely = np.maximum((outward * at[:, 1:3]).sum(axis=1), 0.0) / (1.0 + (residual / _FAR_PX) ** 2) ** 2
+        weight = openness * likely / (_SIGMA_PX**2 + (1.0 - openness) * _FAR_PX**2)
+        information, pull = self._gathered(self._node, at[:, 1:3], residual, weight)
         off = np.flatnonzero(_outside(field, positions_px))
         at = sample_image(field, positions_px[off])
-        node, whole = self._lattice.node_of_vertex[off], np.ones(len(off))
-        more, more_pull = self._gathered(node, at[:, 1:3], 0.5 - at[:, 0], whole, _INSIDE_SIGMA_PX)
+        weight = np.full(len(off), _INSIDE_SIGMA_PX**-2)
+        more, more_pull = self._gathered(
+            self._lattice.node_of_vertex[off], at[:, 1:3], 0.5 - at[:, 0], weight
+        )
         return information + more, pull + more_pull
 
-    def _gathered(self, node, normal, residual, weight, sigma):  # type: ignore[no-untyped-def]
+    def _gathered(self, node, normal, residual, weight):  # type: ignore[no-untyped-def]
         count = self._lattice.count
         robust = weight / np.maximum(1.0, np.abs(residual) / _HUBER_PX)
         terms = (
@@ -111,7 +114,7 @@ class Outline:
         )
         number = np.maximum(np.bincount(node, minlength=count), 8.0)
         sums = np.stack([np.bincount(node, terms[:, k], minlength=count) for k in range(5)], axis=1)
-        sums = sums / (number[:, None] * sigma**2)
+        sums = sums / number[:, None]
         return sums[:, :3], sums[:, 3:]
 
 
