@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, NormalMap
-from vntoolkit.tracking.outline import edges_beside, occluding_contours
+from vntoolkit.tracking.outline import depth_steps, edges_beside, occluding_contours
 from vntoolkit.tracking.slopes import slopes_from_normals
 from vntoolkit.tracking.template import template_from_maps
 from vntoolkit.tracking.tracker import SurfaceTracker
@@ -70,6 +72,20 @@ def test_neither_folds_nor_a_valley_are_contours() -> None:
         template = template_from_maps(normal_map, depth, CAMERA)
         kept = edges_beside(template.edges, template.pixels, found(normal_map))
         assert len(kept) == len(template.edges)
+
+
+def test_a_step_of_depth_that_slopes_do_not_have_parts_its_sides_and_a_steep_slope_does_not() -> None:
+    """As where a shadow tells how far an arm lies behind the flank, whose normals meet smoothly."""
+    normal_map, depth = maps(np.full(U.shape, 5.0), 0.0 * U)
+    slopes, sloped = slopes_from_normals(normal_map, CAMERA), 100.0 + 5.0 * U
+    assert not depth_steps(replace(depth, depth=sloped), slopes, CAMERA).any()
+    steps = depth_steps(replace(depth, depth=sloped + 6.0 * (U >= BETWEEN)), slopes, CAMERA)
+    inner = normal_map.mask & (np.abs(V - HEIGHT / 2) < 30)
+    np.testing.assert_array_equal(steps[inner], (np.abs(U - (BETWEEN - 0.5)) < 1)[inner])
+    template = template_from_maps(normal_map, depth, CAMERA)
+    kept = template.pixels[edges_beside(template.edges, template.pixels, steps)]
+    crosses = (kept[:, :, 0] < BETWEEN).any(axis=1) & (kept[:, :, 0] >= BETWEEN).any(axis=1)
+    assert not (crosses & (np.abs(kept[:, 0, 1] - HEIGHT / 2) < 30)).any()
 
 
 def test_normals_of_which_nothing_is_known_make_no_contour() -> None:

@@ -10,7 +10,7 @@ from tests.tracking.wrinkled_video import WrinkledVideo
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, NormalMap
 from vntoolkit.tracking.lattice import LocalJacobians, lattice_on_template
-from vntoolkit.tracking.lengths import LinkLengths
+from vntoolkit.tracking.lengths import LinkLengths, share_right
 from vntoolkit.tracking.outline import Outline, outline_of_figure, signed_distance
 from vntoolkit.tracking.registration import Measurement, TemplateRegistration
 from vntoolkit.tracking.slopes import Relief, jump_pixels, label_edges, relief_slopes, slopes_from_normals
@@ -268,6 +268,62 @@ def test_a_surface_may_slip_behind_an_occluding_contour_and_hangs_together_elsew
         else:
             strain = np.sqrt(torn * variance / np.sum(lengths.along**2, axis=1))
             assert strain.max() < 0.05, name
+
+
+def test_lengths_hold_where_the_surface_is_seen_and_a_body_moves_it_where_it_is_not() -> None:
+    """A part of a rigid sheet is read off another slope; or it is hidden, or nothing is known."""
+    mask = np.zeros((HEIGHT, WIDTH), dtype=bool)
+    mask[8:88, 8:120] = True
+    flat = normals(np.zeros(mask.shape), np.zeros(mask.shape), mask)
+    template = template_from_maps(flat, flat_depth(mask), CAMERA)
+    lattice = lattice_on_template(template, 8)
+    lengths = LinkLengths(lattice, template, CAMERA, slopes_from_normals(flat, CAMERA))
+    pixels, known = template.positions_px, (lengths.centres[:, 0] < 84).astype(np.float64)
+    around = LocalJacobians(lattice, pixels).of(pixels)
+    part = (GRID[..., 0] > 88) & mask
+    sloping = slopes_from_normals(normals(np.where(part, 0.6, 0.0), np.zeros(mask.shape), mask), CAMERA)
+    nothing = np.where(part[..., None], np.float32(0.0), sloping)
+    at_part = (lengths.centres[lengths.links][:, :, 0] > 92).all(axis=1) & (np.abs(lengths.along[:, 0]) > 4)
+
+    def off(slopes: np.ndarray, hidden: float) -> float:
+        guess = lengths.guessed(pixels, around, slopes, flat_depth(mask), hidden * (1.0 - known), known)
+        return float(np.median(np.abs(guess.steps - lengths.along)[at_part, 0]))
+
+    assert off(sloping, 0.0) > 0.8 * 8.0 * (1.0 - 1.0 / np.hypot(1.0, 0.6))  # it may have turned
+    assert off(sloping, 1.0) < 0.1
+    assert off(nothing, 0.0) < 0.1
+
+
+def test_lengths_that_no_motion_of_the_body_explains_are_another_surface_s() -> None:
+    before, variance = np.full(3, 0.95), np.full(3, 0.01)
+    close, far, farther = share_right(before, np.array([0.01, 0.1, 0.2]), variance)
+    assert close > 0.99 > far > 0.5 > farther
+    assert share_right(0.0 * before, np.zeros(3), variance).max() == 0.0
+
+
+def test_a_border_that_may_be_a_contour_hardly_follows_the_outline() -> None:
+    mask = np.zeros((HEIGHT, WIDTH), dtype=bool)
+    mask[8:88, 30:90] = True
+    wider = np.zeros_like(mask)
+    wider[8:88, 30:93] = True
+    across = np.clip((GRID[..., 0] - 60.0) / 30.0, -0.98, 0.98)
+    pulls = {}
+    for name, tilt in (("sheet", 0.0), ("tilted", 50.0), ("oblique", 63.0), ("round", None)):
+        p = np.tan(np.arcsin(across)) if tilt is None else np.full(mask.shape, np.tan(np.radians(tilt)))
+        first, second = normals(p, 0 * p, mask), normals(p, 0 * p, wider)
+        template = template_from_maps(first, flat_depth(mask), CAMERA)
+        lattice = lattice_on_template(template, 8)
+        slopes = slopes_from_normals(first, CAMERA)
+        outline = Outline(template, lattice, outline_of_figure(mask, slopes))
+        unturned = np.broadcast_to(np.eye(2), (lattice.count, 2, 2))
+        figure = outline_of_figure(wider, slopes_from_normals(second, CAMERA))
+        information, _ = outline.measure(template.positions_px, unturned, figure)
+        column, row = lattice.cells.T
+        right = (column == column.max()) & (row > row.min() + 1) & (row < row.max() - 1)
+        pulls[name] = float(np.median(information[right, 0]))
+    assert pulls["sheet"] > 1.0
+    assert pulls["tilted"] > 0.5 * pulls["sheet"]  # it faces as much as a border must
+    assert pulls["round"] < pulls["oblique"] < 1e-2 * pulls["sheet"]
 
 
 def test_a_place_that_departs_farther_than_the_whole_sheet_does_is_doubted() -> None:

@@ -125,13 +125,13 @@ class LinkLengths:
         square = np.sum(self.along**2, axis=1)
         weight = np.clip(np.minimum(seen, self._seen) / np.maximum(self._counts, 1), _LEAST_WEIGHT, 1.0)
         turned = _NORMAL_ERROR**2 + _HALF_WEIGHT_ERROR**2 / _INDEPENDENT * (1.0 / weight - 1.0)
-        grazing = np.maximum(*(turned * steepness)[self.links.T])
+        grazing = np.maximum(*(turned * (steepness + turned))[self.links.T])
         of_lengths = self._near_mean(_strain(steps - by_lengths, square), tested, STRAIN**2)
         of_lengths += grazing
         of_body = self._near_mean(_strain(steps - by_body, square), tested, _BODY_STRAIN**2)
         of_body += np.square(field.errors).sum(axis=(1, 2))
         apart = np.sum((by_lengths - by_body) ** 2, axis=1) / square
-        right = _share_right((1.0 - _MISTAKEN) * in_sight, apart, of_lengths + of_body)
+        right = share_right((1.0 - _MISTAKEN) * in_sight, apart, of_lengths + of_body)
         share = right * of_body / (of_lengths + of_body)
         mean = share[:, None] * by_lengths + (1.0 - share)[:, None] * by_body
         departs = np.sum(own**2, axis=1)
@@ -212,7 +212,7 @@ class LinkLengths:
         return np.asarray(0.5 * (mean[self.links[:, 0]] + mean[self.links[:, 1]]))
 
 
-def _share_right(before: FloatArray, apart: FloatArray, variance: FloatArray) -> npt.NDArray[np.float64]:
+def share_right(before: FloatArray, apart: FloatArray, variance: FloatArray) -> npt.NDArray[np.float64]:
     """Return (links,) how likely guesses are right that differ from others by so much, squared strain.
 
     before: how likely that is by itself. variance: of the difference where they are right, by direction.

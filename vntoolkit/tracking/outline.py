@@ -4,7 +4,8 @@ Beyond the outline nothing of the surface is in sight. A smooth body turns away 
 within the figure: its slope grows until it is seen edge-on, and beside it another surface goes on that is
 less steep. So a contour is where the surface recedes steeply towards a side, and within a few pixels no
 longer. It is the outline of what lies before: it moves with that and tells nothing of what lies behind, and
-across it nothing holds the two together.
+across it nothing holds the two together. Where a shadow told how far one lies behind the other, the depth has
+a step that the slopes do not.
 """
 
 from __future__ import annotations
@@ -15,6 +16,8 @@ import numpy.typing as npt
 from scipy import ndimage
 
 from vntoolkit.arrays import FloatArray, Mask, Points2
+from vntoolkit.geometry.camera import Camera
+from vntoolkit.geometry.maps import DepthMap
 from vntoolkit.native import njit
 from vntoolkit.tracking.lattice import TemplateLattice
 from vntoolkit.tracking.slopes import Slopes, sample_image
@@ -40,6 +43,7 @@ _STEEP, _TURN = np.radians((45.0, 30.0))  # by which a surface recedes there, an
 _SURELY_STEEP, _SURE_TURN = np.radians((65.0, 45.0))  # the same, of a contour that is surely one
 _REACH_PX = 3  # to either side: the picture and its slopes are blurred by a pixel each
 _LEAST_SLOPE_WEIGHT = 0.05  # of a slope: by less its normal may be off by 45° and more, as in a shadow
+_STEP_PX = 4.0  # of depth beyond the slopes, from which the surface ends: it slides so far in a turn by 1 rad
 _TWO_SIDES_PX = 2.0  # between the nearest pixels beside a contour: those on one side of it are nearer
 
 
@@ -91,10 +95,8 @@ class Outline:
         information, pull = self._gathered(self._node, at[:, 1:3], residual, weight)
         off = np.flatnonzero(_outside(field, positions_px))
         at = sample_image(field, positions_px[off])
-        weight = np.full(len(off), _INSIDE_SIGMA_PX**-2)
-        more, more_pull = self._gathered(
-            self._lattice.node_of_vertex[off], at[:, 1:3], 0.5 - at[:, 0], weight
-        )
+        node, whole = self._lattice.node_of_vertex[off], np.full(len(off), _INSIDE_SIGMA_PX**-2)
+        more, more_pull = self._gathered(node, at[:, 1:3], 0.5 - at[:, 0], whole)
         return information + more, pull + more_pull
 
     def _gathered(self, node, normal, residual, weight):  # type: ignore[no-untyped-def]
@@ -113,8 +115,7 @@ class Outline:
             * robust[:, None]
         )
         number = np.maximum(np.bincount(node, minlength=count), 8.0)
-        sums = np.stack([np.bincount(node, terms[:, k], minlength=count) for k in range(5)], axis=1)
-        sums = sums / number[:, None]
+        sums = np.stack([np.bincount(node, terms[:, k], minlength=count) / number for k in range(5)], axis=1)
         return sums[:, :3], sums[:, 3:]
 
 
@@ -245,6 +246,24 @@ def occluding_contours(slopes: Slopes, mask: Mask) -> Mask:
     kept[labels[sure]] = True
     contours[box] = kept[labels] & faint
     return contours
+
+
+def depth_steps(depth_map: DepthMap, slopes: Slopes, camera: Camera) -> Mask:
+    """(h, w) True on either side of a step of depth that the slopes do not have."""
+    known = depth_map.mask & (slopes[..., 2] > _LEAST_SLOPE_WEIGHT)
+    depth = np.where(known, depth_map.depth, 1.0)
+    pixels = camera.matrix[0, 0] * (np.log(depth) if camera.is_perspective else depth)
+    steps = np.zeros_like(known)
+    for axis, along in ((1, 0), (0, 1)):
+        slope = np.where(known, slopes[..., along], 0.0) / np.where(known, slopes[..., 2], 1.0)
+        ends = (slice(None, -1), slice(1, None))
+        first, second = (end if axis == 0 else (slice(None), end) for end in ends)
+        left = np.diff(pixels, axis=axis) - 0.5 * (slope[first] + slope[second])
+        bend = 0.5 * np.abs(slope[first] - slope[second])
+        stepped = known[first] & known[second] & (np.abs(left) > _STEP_PX + bend)
+        steps[first] |= stepped
+        steps[second] |= stepped
+    return steps
 
 
 def edges_beside(

@@ -28,6 +28,7 @@ from vntoolkit.tracking.lengths import STRAIN, TURN, LinkLengths, slow_turns, un
 from vntoolkit.tracking.outline import (
     Outline,
     contour_distance,
+    depth_steps,
     edges_beside,
     occluding_contours,
     outline_of_figure,
@@ -91,18 +92,20 @@ class SurfaceFit:
         self,
         template: TrackingTemplate,
         normal_map: NormalMap,
+        depth_map: DepthMap,
         camera: Camera,
         labels: VisibilityLabels | None = None,
         pattern: Sequence[FloatArray] = (),
         paint: Paint | None = None,
         paint_pattern: Sequence[FloatArray] = (),
     ) -> None:
-        """Prepare what hangs on the template alone; normal_map, labels, paint: of its frame.
+        """Prepare what hangs on the template alone; normal_map, depth_map, labels, paint: of its frame.
 
         pattern, paint_pattern: as `fixed_pattern` returns them.
         """
         slopes = slopes_from_normals(normal_map, camera)
         figure, seen, contours = _seen(slopes, normal_map, labels, paint)
+        contours |= depth_steps(depth_map, slopes, camera)
         within = replace(template, edges=edges_beside(template.edges, template.pixels, contours))
         lattice = lattice_on_template(within, _CELL_PX)
         self._lattice, self._camera = lattice, camera

@@ -96,7 +96,9 @@ class SurfaceTracker:
         self._solver: Solver | None = None
         uncertainty = None
         if self.options.method is Tracker.DEFAULT:
-            self._fit = SurfaceFit(self.template, template, camera, labels, pattern, paint, paint_pattern)
+            self._fit = SurfaceFit(
+                self.template, template, depth, camera, labels, pattern, paint, paint_pattern
+            )
             uncertainty = np.zeros(len(self.template.pixels))
         else:
             self._solver = _solver(self.template, self.options)
