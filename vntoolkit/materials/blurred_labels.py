@@ -241,7 +241,7 @@ def _move_row(
     count, margin = rho.shape[0], _MARGIN_PX
     size = side + 2 * margin
     n = (size * lanes + 31) // 32 * 32
-    near, window, changed = np.zeros(count, np.bool_), np.zeros(_PARTS * n, np.float32), 0
+    window, changed = np.zeros(_PARTS * n, np.float32), 0
     _fill_constants(window, weights, size, lanes, n)
     matrix = (
         inverse[0, 0], inverse[0, 1], inverse[0, 2], inverse[1, 0], inverse[1, 1], inverse[1, 2],
@@ -254,7 +254,8 @@ def _move_row(
     for u in range(margin, lit.shape[1] - side - margin - look, stride):
         if side == 1 and not (beside[u] and lit[v, u]) and u > last_moved + 1:
             continue
-        if not _find_labels(labels, lit, v, u, side, look, near):
+        near = _labels_near(labels, lit, v, u, side, look)
+        if not near:
             continue
         for k in range(10):
             for a in range(size):
@@ -271,7 +272,7 @@ def _move_row(
         least += _SEAM_PRICE * _length_of_seam(labels, v, u, side, -1)
         best, last = -1, -1
         for m in range(count):
-            if not near[m]:
+            if not (near >> m) & 1:
                 continue
             _mix_again(window, labels, v, u, side, m, rho, size, lanes, n)
             last = m
@@ -313,25 +314,19 @@ def _copy(values: Any, begin: int, out: Any, to: int) -> None:
 
 
 @njit(cache=True)
-def _find_labels(labels: Any, lit: Any, v: int, u: int, side: int, look: int, near: Any) -> bool:
-    """Fill near (m,), which labels a block may get; return whether there are any."""
-    same, is_lit, is_one, is_alone = labels[v, u], False, True, True
-    for a in range(v - look, v + side + look):
-        for b in range(u - look, u + side + look):
-            is_alone &= labels[a, b] == same
-    if is_alone:
-        return False
+def _labels_near(labels: Any, lit: Any, v: int, u: int, side: int, look: int) -> int:
+    """Return which labels a block may get, bit m for label m; 0 for none."""
+    own, is_lit, around = 0, False, 0
     for a in range(v, v + side):
         for b in range(u, u + side):
             is_lit |= lit[a, b]
-            is_one &= labels[a, b] == same
-    near[:] = False
+            own |= 1 << labels[a, b]
+    if not is_lit:
+        return 0
     for a in range(v - look, v + side + look):
         for b in range(u - look, u + side + look):
-            near[labels[a, b]] |= lit[a, b]
-    if is_one:
-        near[same] = False
-    return is_lit and near.any()
+            around |= (1 << labels[a, b]) * lit[a, b]
+    return around & ~own if own & (own - 1) == 0 else around
 
 
 @njit(cache=True)

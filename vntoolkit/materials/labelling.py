@@ -24,7 +24,7 @@ from vntoolkit.materials.pixels import INDEPENDENT_PX, LineLabeller, MaterialLab
 from vntoolkit.materials.reflectance import CAP
 from vntoolkit.materials.region_lengths import Lengths, lengths_of
 from vntoolkit.materials.regions import SHADING_STEP, Regions, regions_of
-from vntoolkit.materials.relighting import red_beside_seams, relit
+from vntoolkit.materials.relighting import box_of, red_beside_seams, relit
 from vntoolkit.materials.split_frame import CELL, SplitFrame, block_size, blocks_moved, cells_of, split_frame
 from vntoolkit.native import njit
 from vntoolkit.photometry.frame import LinearFrame
@@ -42,7 +42,7 @@ _DOUBTFUL = 1.5  # price of a region from which its pixels are decided one by on
 _BESIDE = 4  # … and those that near to a seam
 # Share of the pixels of a frame that is decided as a whole: in later frames what costs more is doubtful.
 _DOUBTFUL_SHARE = 0.05
-_CARRIED_SWEEPS = 2
+_CARRIED_SWEEPS = 2  # and one where the picture moved by a block at most
 _BOX_BLOCKS = 32  # that a subject moves before another part of the frame is looked at
 # Two pixels with a seam between them, farther apart than its blur and its labels' errors reach.
 _APART_PX = 6
@@ -185,8 +185,8 @@ class MaterialLabeller:
         if not labels.any():
             return 0.0
         one = MaterialLabeller(self._response, self._reflectances[:1])
-        found = self.relit(frame, labels)
-        alone = one.relit(frame, np.zeros(mask.shape, np.uint8))
+        found = self.relit(frame, labels, mask, box_of(mask))
+        alone = one.relit(frame, np.zeros(mask.shape, np.uint8), mask, box_of(mask))
         inside, at_seams, at_seams_alone = [], [], []
         for before, after in _PAIRS:
             both, is_seam = mask[before] & mask[after], labels[before] != labels[after]
@@ -278,7 +278,7 @@ class MaterialLabeller:
             self._before,
             doubtful | near_seams(self._before, min(int(np.ceil(2.0 * moved)), _BESIDE)),
             any_label=doubtful,
-            sweeps=_CARRIED_SWEEPS,
+            sweeps=_CARRIED_SWEEPS if moved > 1.0 else 1,
         )
         paid = self._coarse.prices(found).sum(dtype=np.float64)
         if paid > self._mean_price * np.count_nonzero(split.lit):

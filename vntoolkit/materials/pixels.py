@@ -17,6 +17,7 @@ from vntoolkit.arrays import FloatArray, Mask, Points
 from vntoolkit.materials.mixtures import MOST_REACH_PX, blur_weights
 from vntoolkit.materials.reflectance import CAP, Lamps, bias_of_noise, length_and_variance
 from vntoolkit.native import njit
+from vntoolkit.photometry.levelling import span_of
 
 Single = npt.NDArray[np.float32]
 MaterialLabels = npt.NDArray[np.uint8]
@@ -236,15 +237,18 @@ def _take_steps(
     light, noise = np.empty((h, 3, w), np.float32), np.empty((h, 3, w), np.float32)
     for v in prange(h):
         bits, exponent = light[v].view(np.int32), np.empty(w, np.float32)
+        first, last = span_of(lit[v])
         for k in range(3):
-            for u in range(w):
+            for u in range(first, last):
                 s = split[k, 0] * np.float32(values[v, u, 0]) + split[k, 1] * np.float32(values[v, u, 1])
                 s = max(s + split[k, 2] * np.float32(values[v, u, 2]), deviation[k])
                 light[v, k, u] = s
                 noise[v, k, u] = (deviation[k] / s) * (deviation[k] / s)
-            take_logs(light[v, k], bits[k], exponent)
+            take_logs(light[v, k, first:last], bits[k, first:last], exponent)
     for v in prange(h):
-        for u in range(w):
+        first, last = span_of(lit[v])
+        out[v, :first], out[v, last:] = _NONE, _NONE
+        for u in range(first, last):
             for way in range(2):
                 a, b = v + way * reach, u + (1 - way) * reach
                 both = a < h and b < w and lit[v, u] and lit[min(a, h - 1), min(b, w - 1)]

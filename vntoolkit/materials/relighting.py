@@ -102,8 +102,8 @@ def red_beside_seams(
     lamps, prices = lamps_from_response(response, np.zeros(3)), []
     for each in (red, None):
         as_it_is = seams.of_any_length._replace(steps=ANY, red=each)
-        found = relit(frame, response, labels, reflectances, seams=as_it_is, mask=mask).rgb[beside]
-        normals = (found @ lamps.split.T - lamps.haze) @ lamps.inverse.T
+        light = relit(frame, response, labels, reflectances, seams=as_it_is, mask=mask, box=box_of(mask))
+        normals = (light.rgb[beside] @ lamps.split.T - lamps.haze) @ lamps.inverse.T
         t = (np.linalg.norm(normals, axis=1) - 1.0) ** 2 / seams.tolerance
         prices.append(float((t / (1.0 + t / CAP**2)).mean()))
     return red if prices[0] < prices[1] else None

@@ -127,16 +127,35 @@ def relative_albedo_from_frame(
     no pixel is.
     """
     inside = require_mask_or_all(mask, frame.shape) & ~frame.clipped
-    inside &= (frame.rgb > response.ambient).any(axis=2)
-    v, u = np.nonzero(inside)
-    scaled = scaled_normals_from_rgb(frame.rgb[inside], response, np.stack([u, v], axis=-1))
-    lengths = np.linalg.norm(scaled, axis=1)
+    if response.variation is None:  # of every frame: an array a step would take most of its time
+        lengths = _lengths(frame.rgb, inside, response.inverse, response.ambient)
+    else:
+        inside &= (frame.rgb > response.ambient).any(axis=2)
+        v, u = np.nonzero(inside)
+        scaled = scaled_normals_from_rgb(frame.rgb[inside], response, np.stack([u, v], axis=-1))
+        lengths = np.linalg.norm(scaled, axis=1)
     lengths = lengths[np.isfinite(lengths)]
     if lengths.size:
         lengths = lengths[lengths > 0.1 * np.percentile(lengths, 99)]
     if not lengths.size:
         raise BadInput(f"frame {frame.number}: no lit pixel (all black or clipped) to measure the albedo on")
     return float(np.median(lengths))
+
+
+@njit(cache=True, error_model="numpy")
+def _lengths(rgb: Any, inside: Any, inverse: Any, ambient: Any) -> Any:
+    """(n,), lengths of M⁻¹(r − a) of the pixels inside that are brighter than the ambient light."""
+    found, count = np.empty(inside.size), 0
+    for v in range(inside.shape[0]):
+        for u in range(inside.shape[1]):
+            r, g, b = rgb[v, u, 0] - ambient[0], rgb[v, u, 1] - ambient[1], rgb[v, u, 2] - ambient[2]
+            if inside[v, u] and (r > 0.0 or g > 0.0 or b > 0.0):
+                x = inverse[0, 0] * r + inverse[0, 1] * g + inverse[0, 2] * b
+                y = inverse[1, 0] * r + inverse[1, 1] * g + inverse[1, 2] * b
+                z = inverse[2, 0] * r + inverse[2, 1] * g + inverse[2, 2] * b
+                found[count] = np.sqrt(x * x + y * y + z * z)
+                count += 1
+    return found[:count]
 
 
 def coefficients_from_response(response: LightResponse, options: InversionOptions | None) -> "Coefficients":
