@@ -113,7 +113,7 @@ class LinkLengths:
         (nodes,) from 0 to 1, how far a node's place is known. field: of an earlier step in the same frame.
         """
         a, b = self.links.T
-        by_lengths, steepness, seen, contour = self._by_lengths(positions_px, around, slopes, depth_map)
+        by_lengths, of_normals, contour = self._by_lengths(positions_px, around, slopes, depth_map)
         in_sight = 1.0 - np.maximum(hidden[a], hidden[b])
         now = self.nodes(positions_px)
         reliable = (1.0 - hidden) * measured + _LEAST_RELIABLE
@@ -123,11 +123,8 @@ class LinkLengths:
         by_body = self.along + whole + own
         steps = now[b] - now[a]
         square = np.sum(self.along**2, axis=1)
-        weight = np.clip(np.minimum(seen, self._seen) / np.maximum(self._counts, 1), _LEAST_WEIGHT, 1.0)
-        turned = _NORMAL_ERROR**2 + _HALF_WEIGHT_ERROR**2 / _INDEPENDENT * (1.0 / weight - 1.0)
-        grazing = np.maximum(*(turned * (steepness + turned))[self.links.T])
         of_lengths = self._near_mean(_strain(steps - by_lengths, square), tested, STRAIN**2)
-        of_lengths += grazing
+        of_lengths += of_normals
         of_body = self._near_mean(_strain(steps - by_body, square), tested, _BODY_STRAIN**2)
         of_body += np.square(field.errors).sum(axis=(1, 2))
         apart = np.sum((by_lengths - by_body) ** 2, axis=1) / square
@@ -154,7 +151,7 @@ class LinkLengths:
     def _by_lengths(
         self, positions_px: Points2, around: FloatArray, slopes: Slopes, depth_map: DepthMap
     ) -> tuple[npt.NDArray[np.float64], ...]:
-        """(links, 2) steps, (nodes,) squared slope of both, (nodes,) weight seen, (links,) `_at_contours`."""
+        """(links, 2) steps, (links,) squared strain by errors of the normals, (links,) `_at_contours`."""
         scale = np.ones(len(positions_px))
         if self._camera.is_perspective:
             depth, found = sample_depth(depth_map.depth, depth_map.mask, positions_px)
@@ -168,8 +165,10 @@ class LinkLengths:
         steps = np.einsum("eab,eb->ea", 0.5 * (wanted[a] + wanted[b]), self.along)
         nodes = self.nodes(positions_px)
         now = nodes[b] - nodes[a]
-        contour = self._at_contours(metric, recedes, now)
-        return steps, _steepness(metric) + self._steepness, seen, contour
+        weight = np.clip(np.minimum(seen, self._seen) / np.maximum(self._counts, 1), _LEAST_WEIGHT, 1.0)
+        turned = _NORMAL_ERROR**2 + _HALF_WEIGHT_ERROR**2 / _INDEPENDENT * (1.0 / weight - 1.0)
+        strain = turned * (_steepness(metric) + self._steepness + turned)
+        return steps, np.maximum(strain[a], strain[b]), self._at_contours(metric, recedes, now)
 
     def _at_contours(
         self, metric: FloatArray, recedes: FloatArray, steps: FloatArray
