@@ -43,7 +43,7 @@ _STEEP, _TURN = np.radians((45.0, 30.0))  # by which a surface recedes there, an
 _SURELY_STEEP, _SURE_TURN = np.radians((65.0, 45.0))  # the same, of a contour that is surely one
 _REACH_PX = 3  # to either side: the picture and its slopes are blurred by a pixel each
 _LEAST_SLOPE_WEIGHT = 0.05  # of a slope: by less its normal may be off by 45° and more, as in a shadow
-_STEP_PX = 4.0  # of depth beyond the slopes, from which the surface ends: it slides so far in a turn by 1 rad
+_STEP_PX = 2.0  # of depth beyond the slopes, from which sides part: in a turn by 30° they slide apart by half
 _TWO_SIDES_PX = 2.0  # between the nearest pixels beside a contour: those on one side of it are nearer
 
 
