@@ -154,7 +154,7 @@ def _paint_reader(job: TrackJob, source: tracked_folder.TrackSource) -> PaintRea
             raise BadInput("the reconstruction subtracted a background; give it as --background")
         result.linear(next(n for n in source.numbers if source.has(n)))
     except VntError as problem:
-        _LOGGER.info("%s; relief and shape alone are tracked", problem)
+        _LOGGER.warning("paint is not tracked, relief and shape alone are: %s", problem)
         return None
     reflectances = np.array([entry.reflectance for entry in result.manifest.materials]).reshape(-1, 3)
 
