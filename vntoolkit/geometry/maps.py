@@ -10,6 +10,7 @@ from vntoolkit.arrays import Depth, FloatArray, Mask, Normals, Weight, read_only
 from vntoolkit.checks import require_mask, require_shape
 from vntoolkit.errors import BadInput
 
+HALF_WEIGHT_DEG = 12.0  # error of a normal that weighs half
 NOISE_CELL_PX = 16  # side of the squares that noise is told by
 
 

@@ -29,7 +29,7 @@ from vntoolkit.arrays import (
     Vector3,
     VisibilityLabels,
 )
-from vntoolkit.geometry.maps import NormalMap
+from vntoolkit.geometry.maps import HALF_WEIGHT_DEG, NormalMap
 from vntoolkit.integration.edges import EdgeField, PixelGraph
 from vntoolkit.integration.slopes import RayField
 from vntoolkit.native import njit
@@ -41,7 +41,7 @@ _STRAIGHT = np.float32(0.5)  # cosine to the lamp's way below which a border tha
 _GRAZING = np.float32(0.35)  # … by more than this cosine is no rim
 _OUTLINE_PX = 2  # a surface turns out of sight within so many pixels, and what its normals say is not sure
 _STEEPEST = np.float32(8.0)  # slope of a pixel, by which a rim that is seen from the side counts
-_UNIT_VARIANCE = math.tan(math.radians(12.0)) ** 2  # of a slope, in squared pixels, that a weight divides
+_UNIT_VARIANCE = math.tan(math.radians(HALF_WEIGHT_DEG)) ** 2  # of a slope, squared, that a weight divides
 _LENGTH_DOUBT_PX = np.float32(1.0)  # standard deviation of a shadow's length, both ends together
 
 

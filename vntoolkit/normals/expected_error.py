@@ -28,7 +28,7 @@ from numba import prange
 from vntoolkit.arrays import Array, Float32Array, Mask, VisibilityLabels
 from vntoolkit.checks import require_shape
 from vntoolkit.geometry.camera import Camera
-from vntoolkit.geometry.maps import NormalMap
+from vntoolkit.geometry.maps import HALF_WEIGHT_DEG, NormalMap
 from vntoolkit.native import njit
 from vntoolkit.normals.frame_evidence import (
     LEAST_FACING,
@@ -69,7 +69,6 @@ _OF_TWO_LIGHTS = 1.2  # radians over the distances to the normals that two light
 _ALBEDO_SPREAD = np.float32(0.03)  # relative standard deviation of lit pixels' albedo about the surroundings'
 # A sphere shows nine tenths of its image within this angle of the axis: what a guess without data is worth.
 _LARGEST_DEG = np.float32(71.6)
-_HALF_WEIGHT_DEG = 12.0
 _LEFT_OUT_PX = 16  # in a row, over which the noise that a surface leaves out is averaged, …
 _KEPT = np.float32(1 / 8)  # … which is not all of it
 
@@ -79,7 +78,7 @@ _PER_TURN = np.float32(np.degrees(_OF_ELLIPSOID) ** 2)
 _PER_NEARNESS = np.float32(np.degrees(OF_ANGLE) ** 2)
 _PER_DEPARTURE = np.float32(np.degrees(_OF_LENGTH) ** 2)
 _PER_DEPARTURES = np.float32(np.degrees(_OF_LENGTHS) ** 2)
-_PER_HALF_WEIGHT = np.float32(1.0 / _HALF_WEIGHT_DEG)
+_PER_HALF_WEIGHT = np.float32(1.0 / HALF_WEIGHT_DEG)
 _PER_DISTANCE = np.float32(np.degrees(_OF_TWO_LIGHTS) ** 2)
 
 

@@ -27,7 +27,7 @@ import numpy.typing as npt
 
 from vntoolkit.arrays import FloatArray, Points2
 from vntoolkit.geometry.camera import Camera
-from vntoolkit.geometry.maps import DepthMap
+from vntoolkit.geometry.maps import HALF_WEIGHT_DEG, DepthMap
 from vntoolkit.tracking.body_motion import BodyMotion, FittedField
 from vntoolkit.tracking.lattice import TemplateLattice
 from vntoolkit.tracking.slopes import Slopes, metric_sums, sample_depth
@@ -41,8 +41,7 @@ _BODY_STRAIN = 0.3  # the same, of a surface taken for one body: a face that tal
 _PRIOR_LINKS = 0.2  # measured links nearby that the two count for
 _NEAR_PASSES = 8  # of lattice smoothing: how far around a guess's success counts
 _NORMAL_ERROR = 0.05  # radians: shading that departs from the model turns normals by 3°
-_HALF_WEIGHT_ERROR = np.radians(12.0)  # of a normal that weighs half
-_INDEPENDENT = 8.0  # such errors in a cell: they are alike over some pixels, and average out over the rest
+_INDEPENDENT = 8.0  # errors by weight in a cell: alike over some pixels, they average out over the rest
 _MISTAKEN = 0.05  # share of lengths that are another surface's where nothing is known to be hidden
 _SLOW_DEGREE = 2  # of the polynomials in place that vary slowly
 TURN = 0.1  # standard deviation of a slow turn in one step of the fit, radians
@@ -166,7 +165,7 @@ class LinkLengths:
         nodes = self.nodes(positions_px)
         now = nodes[b] - nodes[a]
         weight = np.clip(np.minimum(seen, self._seen) / np.maximum(self._counts, 1), _LEAST_WEIGHT, 1.0)
-        turned = _NORMAL_ERROR**2 + _HALF_WEIGHT_ERROR**2 / _INDEPENDENT * (1.0 / weight - 1.0)
+        turned = _NORMAL_ERROR**2 + np.radians(HALF_WEIGHT_DEG) ** 2 / _INDEPENDENT * (1.0 / weight - 1.0)
         strain = turned * (_steepness(metric) + self._steepness + turned)
         return steps, np.maximum(strain[a], strain[b]), self._at_contours(metric, recedes, now)
 

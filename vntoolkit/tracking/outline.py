@@ -43,7 +43,7 @@ _STEEP, _TURN = np.radians((45.0, 30.0))  # by which a surface recedes there, an
 _SURELY_STEEP, _SURE_TURN = np.radians((65.0, 45.0))  # the same, of a contour that is surely one
 _REACH_PX = 3  # to either side: the picture and its slopes are blurred by a pixel each
 _LEAST_SLOPE_WEIGHT = 0.05  # of a slope: by less its normal may be off by 45° and more, as in a shadow
-_STEP_PX = 2.0  # of depth beyond the slopes, from which sides part: in a turn by 30° they slide apart by half
+_STEP_PX = 2.0  # of depth beyond the slopes, from which its sides part: a turn by 30° moves them 1 px apart
 _TWO_SIDES_PX = 2.0  # between the nearest pixels beside a contour: those on one side of it are nearer
 
 
@@ -249,16 +249,16 @@ def occluding_contours(slopes: Slopes, mask: Mask) -> Mask:
 
 
 def depth_steps(depth_map: DepthMap, slopes: Slopes, camera: Camera) -> Mask:
-    """(h, w) True on either side of a step of depth that the slopes do not have."""
+    """Return (h, w) True on either side of a step of depth that the slopes do not have."""
     known = depth_map.mask & (slopes[..., 2] > _LEAST_SLOPE_WEIGHT)
     depth = np.where(known, depth_map.depth, 1.0)
-    pixels = camera.matrix[0, 0] * (np.log(depth) if camera.is_perspective else depth)
+    depth = np.log(depth) if camera.is_perspective else depth
     steps = np.zeros_like(known)
     for axis, along in ((1, 0), (0, 1)):
         slope = np.where(known, slopes[..., along], 0.0) / np.where(known, slopes[..., 2], 1.0)
         ends = (slice(None, -1), slice(1, None))
         first, second = (end if axis == 0 else (slice(None), end) for end in ends)
-        left = np.diff(pixels, axis=axis) - 0.5 * (slope[first] + slope[second])
+        left = camera.matrix[along, along] * np.diff(depth, axis=axis) - 0.5 * (slope[first] + slope[second])
         bend = 0.5 * np.abs(slope[first] - slope[second])
         stepped = known[first] & known[second] & (np.abs(left) > _STEP_PX + bend)
         steps[first] |= stepped
