@@ -2,11 +2,13 @@
 
 Where two lights arrive the energy has two minima, since the quadratic of `roots_from_two_lights` has two
 roots. A smooth continuation of the lit surroundings leads to one of them, and the roots chosen by continuity
-lead to the other. Every shadow keeps the one whose surface returns the light that is seen.
+lead to the other. Every shadow keeps the one that costs less: that returns the light that is seen, by a depth
+that hangs together. Roots must be held until depth has found where it steps, as from a chin to the neck. A
+depth that holds together everywhere would turn them over.
 """
 
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -20,7 +22,6 @@ from vntoolkit.photometry.response import LightResponse
 from vntoolkit.shadows.contributions import contributions_from_frame, flat, lengths_of
 from vntoolkit.shadows.surface import ALBEDO_SPREAD, LabelledImage, Surface, SurfaceOptions
 
-_LARGEST_MISFIT = 25.0  # χ² of one pixel beyond which it says no more about its region
 _MEDIAN_TO_DEVIATION = 1.4826
 _FEWEST_LOOPS = 100
 _FEWEST_PAIRS = 60  # of rows, whose noise stands for the frame's
@@ -38,8 +39,16 @@ _START_PIXELS = 15_000  # frames are halved until they are not larger; there the
 _CHECKING_ITERATIONS = 4  # steps there of a surface that is given
 _MIDDLE_ITERATIONS, _LARGE_ITERATIONS = 4, 3  # steps at every larger size, and at the largest, …
 _SETTLED_ITERATIONS = 2  # … of which the last ones settle
-# The roots win a shadow where they leave so much less than the start does, and it has so many pixels there.
-_CLEAR_GAIN, _FEWEST_PIXELS = 0.85, 50
+_HELD = 3  # steps in which depth finds where it must step for the roots
+_BORDER = np.ones((5, 5), np.uint8)  # around a shadow, whose steps of depth count with it
+_APART = np.cos(np.radians(10.0))  # of two normals: one of them was turned over
+
+
+class _Found(NamedTuple):
+    """A surface to go on from, and (h, w), where the roots turned it over."""
+
+    surface: Surface
+    turned: Mask
 
 
 def solve_from_best_initialisation(
@@ -47,15 +56,18 @@ def solve_from_best_initialisation(
 ) -> Surface:
     """Solve the surface of a frame on its working size, coarse to fine.
 
-    start: the surface that the labels came from, or None. It competes with what a smaller image prefers: that
-    must leave less of the light unexplained on this one, too.
+    start: the surface that the labels came from, or None. What a small image prefers to it is turned over.
     """
     image = _trusted(image)
     found = _better_than(start, image, options)
     large = replace(options, iterations=_LARGE_ITERATIONS, settled=_SETTLED_ITERATIONS)
-    surfaces = [image.solve(large, each) for each in (start, found) if each is not None]
-    least = min(surfaces, key=lambda surface: np.minimum(surface.misfit, _LARGEST_MISFIT)[image.shadow].sum())
-    return replace(least, normals=_turned_to_light(least.normals, image, options.spread))
+    if found is not None:
+        own, start = start, found.surface
+        if own is not None:
+            start = replace(start, normals=_turned_over(own.normals, found, image))
+        large = replace(large, iterations=_HELD + _LARGE_ITERATIONS, held=_HELD)
+    surface = image.solve(large, start)
+    return replace(surface, normals=_turned_to_light(surface.normals, image, options.spread))
 
 
 def _trusted(labelled: LabelledImage) -> LabelledImage:
@@ -64,7 +76,7 @@ def _trusted(labelled: LabelledImage) -> LabelledImage:
     return replace(labelled, trust=(labelled.image.light.trust * by_lights).astype(np.float32))
 
 
-def _better_than(start: Surface | None, image: LabelledImage, options: SurfaceOptions) -> Surface | None:
+def _better_than(start: Surface | None, image: LabelledImage, options: SurfaceOptions) -> _Found | None:
     """Return a surface to go on from, found on a smaller image; None where `start` is as good."""
     mask = image.image.mask
     if mask.size <= _START_PIXELS:
@@ -73,9 +85,11 @@ def _better_than(start: Surface | None, image: LabelledImage, options: SurfaceOp
     found = _better_than(None if start is None else start.shrunk(mask, 2), small, options)
     if found is None:
         return None
+    surface, size = found.surface, mask.shape[::-1]
     if small.image.mask.size > _START_PIXELS:  # the smallest is solved already
-        found = small.solve(replace(options, iterations=_MIDDLE_ITERATIONS), found)
-    return found.enlarged(mask.shape, 2)
+        surface = small.solve(replace(options, iterations=_MIDDLE_ITERATIONS), surface)
+    turned = cv2.resize(found.turned.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST)
+    return _Found(surface.enlarged(mask.shape, 2), turned > 0)
 
 
 def options_of_frame(slope: float | None, spread: float) -> SurfaceOptions:
@@ -86,7 +100,7 @@ def options_of_frame(slope: float | None, spread: float) -> SurfaceOptions:
     return replace(options, noise=min(options.noise, max(_NOISE_PER_SLOPE * slope, _LEAST_NOISE)))
 
 
-def _by_either_root(start: Surface | None, image: LabelledImage, options: SurfaceOptions) -> Surface | None:
+def _by_either_root(start: Surface | None, image: LabelledImage, options: SurfaceOptions) -> _Found | None:
     """Solve from `start`, or a smooth continuation, and from the roots; take every shadow's better one."""
     shadow = image.shadow
     if start is not None and not shadow.any():
@@ -95,30 +109,43 @@ def _by_either_root(start: Surface | None, image: LabelledImage, options: Surfac
         options if start is None else replace(options, iterations=_CHECKING_ITERATIONS), start
     )
     if not shadow.any():
-        return smooth
-    light = image.image.light
+        return _Found(smooth, shadow)
+    light, held = image.image.light, replace(options, held=_HELD)
     roots, decided = continue_with_two_lights(
         light.normals, light.relative_to(image.albedo), image.labels, light.lights, image.image.mask
     )
-    rooted = image.solve(options, first_normals=roots, guessed=decided)
-    better = _better_regions(rooted.misfit, smooth.misfit, shadow)
+    rooted = image.solve(held, first_normals=roots, guessed=decided)
+    better = _better_regions(image.energy(rooted, options), image.energy(smooth, options), shadow)
     if not better.any():
-        return smooth if start is None else None
+        return _Found(smooth, better) if start is None else None
     base = rooted if 2 * np.count_nonzero(better) > np.count_nonzero(shadow) else smooth
     merged = np.where(better[..., None], rooted.normals, smooth.normals)
-    return image.solve(options, replace(base, normals=merged))
+    turned = better & (np.sum(rooted.normals * smooth.normals, axis=-1) < _APART)
+    return _Found(image.solve(held, replace(base, normals=merged)), turned)
 
 
 def _better_regions(first: FloatArray, second: FloatArray, shadow: Mask) -> Mask:
-    """Connected regions of `shadow` in which `first` is clearly less than `second` in sum."""
+    """Connected regions of `shadow` in and around which `first` is less than `second` in sum."""
     _, region = cv2.connectedComponents(shadow.astype(np.uint8), connectivity=4)
-    count = int(region.max()) + 1
-    first_sum, second_sum, pixels = (
-        np.bincount(region[shadow], weights=values[shadow], minlength=count)
-        for values in (np.minimum(first, _LARGEST_MISFIT), np.minimum(second, _LARGEST_MISFIT), shadow)
-    )
-    clear = (first_sum < _CLEAR_GAIN * second_sum) & (pixels >= _FEWEST_PIXELS)
-    return np.asarray(shadow & clear[region])
+    around = np.where(shadow, region, cv2.dilate(region.astype(np.float32), _BORDER)).astype(region.dtype)
+    gain = np.bincount(around.ravel(), weights=(second - first).ravel())
+    return np.asarray(shadow & (gain[region] > 0.0))
+
+
+def _turned_over(normals: Normals, found: _Found, image: LabelledImage) -> Normals:
+    """Return normals that take the root on the side of a found surface, where that turned them over."""
+    out = np.array(normals, dtype=np.float32)
+    turned = cv2.dilate(found.turned.astype(np.uint8), _BORDER) > 0
+    for i, j, label in _PAIRS:
+        here = turned & image.image.mask & (image.labels == label)
+        first, second = image.image.light.lights[[i, j]]
+        across = np.cross(first, second)
+        cosines = image.cosines[here]
+        plus, minus, _ = roots_from_two_lights(cosines[:, i], cosines[:, j], first, second)
+        side = found.surface.normals[here] @ across
+        root = np.where(side[:, None] > 0.0, plus, minus)
+        out[here] = np.where((side * (out[here] @ across) < 0.0)[:, None], root, out[here])
+    return out
 
 
 def _turned_to_light(normals: Normals, image: LabelledImage, spread: float) -> Normals:

@@ -33,7 +33,7 @@ from vntoolkit.geometry.slope_grid import (
     weights_kernel,
 )
 from vntoolkit.native import njit
-from vntoolkit.photometry.frame import ALL_LIT
+from vntoolkit.photometry.frame import ALL_LIT, count_lit
 from vntoolkit.shadows.albedo import fill_smoothly
 from vntoolkit.shadows.contributions import (
     Numbers,
@@ -64,13 +64,15 @@ class SurfaceOptions:
 
     noise: standard deviation of a light's cosine; it stands for camera noise and for what the model leaves
     out (interreflection, gloss). smoothness: weight of a shadowed pixel's slope being its surroundings' mean.
-    iterations: Gauss–Newton steps. settled: how many of them, the last ones, know the albedo under shadow to
-    `spread`, its relative standard deviation. cycles: of multigrid in each, at most.
+    iterations: Gauss–Newton steps. held: how many of them, the first ones, keep the slopes that they start
+    from, while depth finds where it must step for them. settled: how many, the last ones, know the albedo
+    under shadow to `spread`, its relative standard deviation. cycles: of multigrid in each, at most.
     """
 
     noise: float = 0.03
     smoothness: float = 3.0
     iterations: int = 8
+    held: int = 0
     settled: int = 0
     spread: float = ALBEDO_SPREAD
     cycles: int = 4
@@ -81,21 +83,19 @@ class Surface:
     """A solved surface.
 
     normals: (h, w, 3) unit, camera frame. depth: (h, w) float32, pixels (orthographic) or f · log z.
-    agreement: (h, w), 0 to 1, how far depth and colour agree on a fully lit pixel's slope, 0 at the border.
-    misfit: (h, w), χ² of the light that arrives against the light that the surface would return, before the
-    last step. Both are 0 on another grid than the surface was solved on. image: what it was solved from,
-    where others go on from it.
+    agreement: (h, w), 0 to 1, how far depth and colour agree on a fully lit pixel's slope, 0 at the border
+    and on another grid than the surface was solved on. image: what it was solved from, where others go on
+    from it.
     """
 
     normals: FloatArray
     depth: Grid
     agreement: Grid
-    misfit: Grid
     image: WorkingImage | None = None
 
     def enlarged(self, shape: tuple[int, ...], factor: int) -> "Surface":
         """Return a start on a grid `factor` times finer; depth counts pixels, so it grows too."""
-        size, nothing = shape[1::-1], np.zeros(shape[:2], np.float32)
+        size = shape[1::-1]
 
         def enlarge(image: FloatArray) -> FloatArray:
             return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_LINEAR), dtype=np.float32)
@@ -103,19 +103,16 @@ class Surface:
         return Surface(
             normals=_unit_or_facing(enlarge(self.normals)),
             depth=enlarge(self.depth) * np.float32(factor),
-            agreement=nothing,
-            misfit=nothing,
+            agreement=np.zeros(shape[:2], np.float32),
         )
 
     def shrunk(self, mask: Mask, factor: int) -> "Surface":
         """Return a start on a grid `factor` times coarser, averaged over the mask."""
         mean, cover = mean_inside(mask, factor)
-        nothing = np.zeros_like(cover)
         return Surface(
             normals=_unit_or_facing(mean(self.normals)),
             depth=np.ascontiguousarray(mean(self.depth) / np.float32(factor)),
-            agreement=nothing,
-            misfit=nothing,
+            agreement=np.zeros_like(cover),
         )
 
 
@@ -169,12 +166,33 @@ class LabelledImage:
         guessed: Mask | None = None,
     ) -> Surface:
         """Return the surface as `solve_surface` does; without first normals from those of full light."""
-        light, trust = self.image.light, self.image.light.trust if self.trust is None else self.trust
+        light = self.image.light
         return solve_surface(
             self.cosines, self.labels, light.lights, self.image.mask,
             first_normals=light.normals if first_normals is None else first_normals, guessed=guessed,
-            weight=trust, camera=self.image.camera, options=options, start=start,
+            weight=self._trust, camera=self.image.camera, options=options, start=start,
         )  # fmt: skip
+
+    @property
+    def _trust(self) -> Weight:
+        return self.image.light.trust if self.trust is None else self.trust
+
+    def energy(self, surface: Surface, options: SurfaceOptions) -> Grid:
+        """Return (h, w), what a surface costs where two lights or three arrive.
+
+        Light that it does not explain, and gradients of depth that are not its slopes': χ² of each quadrant,
+        no more than a step costs.
+        """
+        image = self.image
+        given = _given(self.cosines, self.labels, image.light.lights, image.mask, self._trust, image.camera)
+        shape = given.seen.shape
+        slopes, quadratics = np.empty((2, *shape), np.float32), np.empty((6, *shape), np.float32)
+        targets, weights = np.empty((2, *shape), np.float32), np.empty((4, *shape), np.float32)
+        _from_normals_kernel(flat(surface.normals), given.rays, slopes)
+        given.quadratics(slopes, slopes, model_of(options, settled=False), quadratics, targets)
+        given.weights(quadratics, slopes, surface.depth, (_STEP_SOFTNESS, _SHADOW_STEP_SOFTNESS), weights)
+        most = np.array([0.0, 0.0, _SHADOW_STEP_SOFTNESS, _STEP_SOFTNESS], np.float32)
+        return np.asarray(most[count_lit(given.seen)] * (1.0 - np.sqrt(weights).mean(axis=0)))
 
 
 def solve_surface(
@@ -198,37 +216,73 @@ def solve_surface(
     colour. camera: None for orthographic. start: a solution to go on from. Distortion is ignored.
     """
     options = options or SurfaceOptions()
-    rays = ray_grid(camera)
+    given = _given(cosines, labels, lights, mask, weight, camera)
     shape = mask.shape
-    trust = np.where(mask, 1.0 if weight is None else np.maximum(weight, 1e-3), 0.0).astype(np.float32)
-    data = np.ascontiguousarray(np.nan_to_num(np.asarray(cosines)), dtype=np.float32)
-    seen = np.where(mask, labels, 0).astype(np.uint8)
     known = mask & (labels == ALL_LIT)
     guess = known if guessed is None else known | (mask & guessed)
     first = np.ascontiguousarray(first_normals, dtype=np.float32)
-    slopes, depth = _first_guess(first, guess, rays, start)
+    slopes, depth = _first_guess(first, guess, given.rays, start)
     agreement = np.zeros(shape, np.float32)
     quadratics, targets = np.empty((6, *shape), np.float32), np.empty((2, *shape), np.float32)
     weights = np.empty((4, *shape), np.float32)
     edges, right = np.empty((4, *shape), np.float32), np.empty(shape, np.float32)
-    rows = numbers_of(lights)
     prior_weights = _prior_weights(mask, known)
-    softness = shadow_softness = NO_STEP  # the first depth must hold together before it may show steps
+    softness = (NO_STEP, NO_STEP)  # the first depth must hold together before it may show steps
     for step in range(options.iterations):
         model = model_of(options, settled=step >= options.iterations - options.settled)
         prior = _surrounding_slope(slopes, prior_weights)
-        quadratics_kernel(flat(data), seen, trust, slopes, prior, rows, rays, model, quadratics, targets)
-        weights_kernel(
-            quadratics, seen, mask, slopes, depth, np.float32(softness), np.float32(shadow_softness), weights
-        )
+        given.quadratics(slopes, prior, model, quadratics, targets)
+        given.weights(quadratics, slopes, depth, softness, weights)
         edges_kernel(quadratics, targets, weights, edges, right)
         depth = solve_grid(grid_hierarchy(edges), right, depth, _TOLERANCE, options.cycles)
-        slopes_kernel(depth, weights, np.float32(STEEPEST), slopes, agreement)
-        softness, shadow_softness = _STEP_SOFTNESS, _SHADOW_STEP_SOFTNESS
-    quadratics_kernel(flat(data), seen, trust, slopes, prior, rows, rays, model, quadratics, targets)
+        if step >= options.held:
+            slopes_kernel(depth, weights, np.float32(STEEPEST), slopes, agreement)
+        softness = (_STEP_SOFTNESS, _SHADOW_STEP_SOFTNESS)
     normals = np.empty_like(first)
-    _normals_kernel(slopes, flat(first), agreement, known, mask, rays, flat(normals))
-    return Surface(normals=normals, depth=depth, agreement=agreement, misfit=quadratics[5])
+    _normals_kernel(slopes, flat(first), agreement, known, mask, given.rays, flat(normals))
+    return Surface(normals=normals, depth=depth, agreement=agreement)
+
+
+class _Given(NamedTuple):
+    """What a surface must explain, as the loops take it; see `solve_surface`."""
+
+    cosines: Grid
+    seen: Labels
+    trust: Grid
+    lights: Numbers
+    rays: RayGrid
+    mask: Mask
+
+    def quadratics(self, slopes: Grid, prior: Grid, model: "Model", out: Grid, targets: Grid) -> None:
+        quadratics_kernel(
+            flat(self.cosines), self.seen, self.trust, slopes, prior, self.lights, self.rays, model, out,
+            targets,
+        )  # fmt: skip
+
+    def weights(
+        self, quadratics: Grid, slopes: Grid, depth: Grid, softness: tuple[float, float], out: Grid
+    ) -> None:
+        """softness: of steps under three lights, and under two."""
+        full, shadow = (np.float32(value) for value in softness)
+        weights_kernel(quadratics, self.seen, self.mask, slopes, depth, full, shadow, out)
+
+
+def _given(
+    cosines: FloatArray,
+    labels: VisibilityLabels,
+    lights: FloatArray,
+    mask: Mask,
+    weight: Weight | None,
+    camera: Camera | None,
+) -> _Given:
+    return _Given(
+        cosines=np.ascontiguousarray(np.nan_to_num(np.asarray(cosines)), dtype=np.float32),
+        seen=np.where(mask, labels, 0).astype(np.uint8),
+        trust=np.where(mask, 1.0 if weight is None else np.maximum(weight, 1e-3), 0.0).astype(np.float32),
+        lights=numbers_of(lights),
+        rays=ray_grid(camera),
+        mask=mask,
+    )
 
 
 def model_of(options: SurfaceOptions, *, settled: bool) -> "Model":
