@@ -13,7 +13,7 @@ from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.photometry.frame import LinearFrame, count_lit, labels_from_lit
 from vntoolkit.photometry.response import LightResponse
-from vntoolkit.shadows import surface
+from vntoolkit.shadows import initialisation, surface
 from vntoolkit.shadows.albedo import albedo_from_lit, fill_smoothly
 from vntoolkit.shadows.contributions import working_image
 from vntoolkit.shadows.detector import ShadowDetector
@@ -134,6 +134,23 @@ def test_perspective_sphere_keeps_its_normals_and_distances(monkeypatch) -> None
     assert degrees(solved.normals, normals)[inner].max() < 0.6
     ratio = np.exp(solved.depth[mask] / 180.0) / depth[mask]
     assert ratio.std() / ratio.mean() < 0.002
+
+
+def test_what_wins_on_a_small_image_must_explain_the_light_on_the_large_one_too(stage, monkeypatch) -> None:
+    detector = ShadowDetector(stage.response)
+    labels = detector.labels(stage.frame, stage.mask)
+
+    def mean_error() -> float:
+        found = recover_normals(stage.frame, labels, stage.response, stage.mask, start=detector.surface)
+        return degrees(found.normals_in_camera, stage.normals)[labels != 7].mean()
+
+    def worse(start: surface.Surface, *_) -> surface.Surface:
+        turned = start.normals * np.array([-1.0, -1.0, 1.0], np.float32)
+        return replace(start, normals=np.where((labels != 7)[..., None], turned, start.normals))
+
+    own = mean_error()
+    monkeypatch.setattr(initialisation, "_better_than", worse)
+    assert mean_error() < 1.2 * own
 
 
 @pytest.mark.parametrize(("tilt_deg", "finds_shadows"), [(25.0, True), (45.0, False)])

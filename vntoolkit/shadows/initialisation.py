@@ -8,7 +8,7 @@ depth that holds together everywhere would turn them over.
 """
 
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import cv2
 import numpy as np
@@ -41,14 +41,6 @@ _MIDDLE_ITERATIONS, _LARGE_ITERATIONS = 4, 3  # steps at every larger size, and 
 _SETTLED_ITERATIONS = 2  # … of which the last ones settle
 _HELD = 3  # steps in which depth finds where it must step for the roots
 _BORDER = np.ones((5, 5), np.uint8)  # around a shadow, whose steps of depth count with it
-_APART = np.cos(np.radians(10.0))  # of two normals: one of them was turned over
-
-
-class _Found(NamedTuple):
-    """A surface to go on from, and (h, w), where the roots turned it over."""
-
-    surface: Surface
-    turned: Mask
 
 
 def solve_from_best_initialisation(
@@ -56,17 +48,20 @@ def solve_from_best_initialisation(
 ) -> Surface:
     """Solve the surface of a frame on its working size, coarse to fine.
 
-    start: the surface that the labels came from, or None. What a small image prefers to it is turned over.
+    start: the surface that the labels came from, or None. It competes with what a smaller image prefers.
     """
     image = _trusted(image)
     found = _better_than(start, image, options)
     large = replace(options, iterations=_LARGE_ITERATIONS, settled=_SETTLED_ITERATIONS)
-    if found is not None:
-        own, start = start, found.surface
-        if own is not None:
-            start = replace(start, normals=_turned_over(own.normals, found, image))
-        large = replace(large, iterations=_HELD + _LARGE_ITERATIONS, held=_HELD)
-    surface = image.solve(large, start)
+    if found is None:
+        surface = image.solve(large, start)
+    else:
+        held = replace(large, iterations=_HELD + _LARGE_ITERATIONS, held=_HELD)
+        surface = image.solve(held, found)
+        if start is not None:
+            own = image.solve(large, start)
+            better = _better_regions(image.energy(surface, options), image.energy(own, options), image.shadow)
+            surface = _merged(surface, own, better, image.shadow)
     return replace(surface, normals=_turned_to_light(surface.normals, image, options.spread))
 
 
@@ -76,7 +71,7 @@ def _trusted(labelled: LabelledImage) -> LabelledImage:
     return replace(labelled, trust=(labelled.image.light.trust * by_lights).astype(np.float32))
 
 
-def _better_than(start: Surface | None, image: LabelledImage, options: SurfaceOptions) -> _Found | None:
+def _better_than(start: Surface | None, image: LabelledImage, options: SurfaceOptions) -> Surface | None:
     """Return a surface to go on from, found on a smaller image; None where `start` is as good."""
     mask = image.image.mask
     if mask.size <= _START_PIXELS:
@@ -85,11 +80,9 @@ def _better_than(start: Surface | None, image: LabelledImage, options: SurfaceOp
     found = _better_than(None if start is None else start.shrunk(mask, 2), small, options)
     if found is None:
         return None
-    surface, size = found.surface, mask.shape[::-1]
     if small.image.mask.size > _START_PIXELS:  # the smallest is solved already
-        surface = small.solve(replace(options, iterations=_MIDDLE_ITERATIONS), surface)
-    turned = cv2.resize(found.turned.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST)
-    return _Found(surface.enlarged(mask.shape, 2), turned > 0)
+        found = small.solve(replace(options, iterations=_MIDDLE_ITERATIONS), found)
+    return found.enlarged(mask.shape, 2)
 
 
 def options_of_frame(slope: float | None, spread: float) -> SurfaceOptions:
@@ -100,7 +93,7 @@ def options_of_frame(slope: float | None, spread: float) -> SurfaceOptions:
     return replace(options, noise=min(options.noise, max(_NOISE_PER_SLOPE * slope, _LEAST_NOISE)))
 
 
-def _by_either_root(start: Surface | None, image: LabelledImage, options: SurfaceOptions) -> _Found | None:
+def _by_either_root(start: Surface | None, image: LabelledImage, options: SurfaceOptions) -> Surface | None:
     """Solve from `start`, or a smooth continuation, and from the roots; take every shadow's better one."""
     shadow = image.shadow
     if start is not None and not shadow.any():
@@ -109,7 +102,7 @@ def _by_either_root(start: Surface | None, image: LabelledImage, options: Surfac
         options if start is None else replace(options, iterations=_CHECKING_ITERATIONS), start
     )
     if not shadow.any():
-        return _Found(smooth, shadow)
+        return smooth
     light, held = image.image.light, replace(options, held=_HELD)
     roots, decided = continue_with_two_lights(
         light.normals, light.relative_to(image.albedo), image.labels, light.lights, image.image.mask
@@ -117,11 +110,8 @@ def _by_either_root(start: Surface | None, image: LabelledImage, options: Surfac
     rooted = image.solve(held, first_normals=roots, guessed=decided)
     better = _better_regions(image.energy(rooted, options), image.energy(smooth, options), shadow)
     if not better.any():
-        return _Found(smooth, better) if start is None else None
-    base = rooted if 2 * np.count_nonzero(better) > np.count_nonzero(shadow) else smooth
-    merged = np.where(better[..., None], rooted.normals, smooth.normals)
-    turned = better & (np.sum(rooted.normals * smooth.normals, axis=-1) < _APART)
-    return _Found(image.solve(held, replace(base, normals=merged)), turned)
+        return smooth if start is None else None
+    return image.solve(held, _merged(rooted, smooth, better, shadow))
 
 
 def _better_regions(first: FloatArray, second: FloatArray, shadow: Mask) -> Mask:
@@ -132,20 +122,10 @@ def _better_regions(first: FloatArray, second: FloatArray, shadow: Mask) -> Mask
     return np.asarray(shadow & (gain[region] > 0.0))
 
 
-def _turned_over(normals: Normals, found: _Found, image: LabelledImage) -> Normals:
-    """Return normals that take the root on the side of a found surface, where that turned them over."""
-    out = np.array(normals, dtype=np.float32)
-    turned = cv2.dilate(found.turned.astype(np.uint8), _BORDER) > 0
-    for i, j, label in _PAIRS:
-        here = turned & image.image.mask & (image.labels == label)
-        first, second = image.image.light.lights[[i, j]]
-        across = np.cross(first, second)
-        cosines = image.cosines[here]
-        plus, minus, _ = roots_from_two_lights(cosines[:, i], cosines[:, j], first, second)
-        side = found.surface.normals[here] @ across
-        root = np.where(side[:, None] > 0.0, plus, minus)
-        out[here] = np.where((side * (out[here] @ across) < 0.0)[:, None], root, out[here])
-    return out
+def _merged(first: Surface, second: Surface, better: Mask, shadow: Mask) -> Surface:
+    """Return the second surface with the first one's normals where that is better, and the depth of most."""
+    base = first if 2 * np.count_nonzero(better) > np.count_nonzero(shadow) else second
+    return replace(base, normals=np.where(better[..., None], first.normals, second.normals))
 
 
 def _turned_to_light(normals: Normals, image: LabelledImage, spread: float) -> Normals:
