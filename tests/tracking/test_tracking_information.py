@@ -47,6 +47,26 @@ def measured(first: NormalMap, second: NormalMap, shift=(0.0, 0.0)) -> Measureme
     return registration.measure(positions, jacobians, relief_of(second))
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_a_ragged_figure_has_no_node_that_its_vertices_do_not_follow(seed: int) -> None:
+    """Vertices of small pieces that meet in a corner all take the same mean (least singular value 0.07)."""
+    rng = np.random.default_rng(seed)
+    ragged = cv2.GaussianBlur(rng.normal(size=(HEIGHT, WIDTH)), (0, 0), 3.0) > -0.08
+    mask = ragged & (np.linalg.norm(GRID - rng.uniform(40.0, 60.0, 2), axis=-1) < 30.0)
+    mask[90:92, 120:122] = True  # an island stays by itself, small as it is
+    flat = np.zeros((HEIGHT, WIDTH))
+    template = template_from_maps(normals(flat, flat, mask), flat_depth(mask), CAMERA)
+    lattice = lattice_on_template(template, 8)
+    assert np.allclose(lattice.shares.sum(axis=1), 1.0)
+    moved = np.zeros((lattice.count, lattice.count))  # means of a node's vertices, by values of nodes
+    np.add.at(moved, (np.repeat(lattice.node_of_vertex, 4), lattice.taps.ravel()), lattice.shares.ravel())
+    moved /= np.bincount(lattice.node_of_vertex)[:, None]
+    assert np.linalg.svd(moved, compute_uv=False).min() > 0.15
+    island = template.pixels[:, 0] >= 120
+    assert island.sum() == 4
+    assert not np.isin(lattice.node_of_vertex[~island], lattice.node_of_vertex[island]).any()
+
+
 def test_noise_tells_nothing(rng: np.random.Generator) -> None:
     frames = [normals(*rng.normal(0, 0.02, (2, HEIGHT, WIDTH))) for _ in range(2)]
     told = measured(*frames)

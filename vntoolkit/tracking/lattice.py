@@ -1,7 +1,9 @@
 """A lattice of cells on the template: sums over cells, smoothing between them, and back to the vertices.
 
 A node is one connected piece of the surface within one square cell, so that neither a seam nor a gap in the
-mask lets one side look at the other.
+mask lets one side look at the other. A piece of a few pixels joins a larger one beside it: where several of
+them meet in a corner, their vertices all have the same mean of their nodes' values, so that nothing could
+hold one of them to another.
 """
 
 from __future__ import annotations
@@ -63,13 +65,14 @@ def lattice_on_template(template: TrackingTemplate, cell_px: int) -> TemplateLat
     pieces = sp.coo_array(
         (np.ones(int(within.sum()), dtype=np.int8), (first[within], second[within])), shape=(count, count)
     )
-    nodes, node = connected_components(pieces, directed=False)
-    a, b = node[first[~within]], node[second[~within]]
-    ones = np.ones(2 * len(a), dtype=np.int8)
-    links = sp.csr_array((ones, (np.concatenate([a, b]), np.concatenate([b, a]))), shape=(nodes, nodes))
-    links.sum_duplicates()
-    cell_of_node = np.zeros(nodes, dtype=np.int64)
-    cell_of_node[node] = cell
+    count, piece = connected_components(pieces, directed=False)
+    links = _links(piece[first[~within]], piece[second[~within]], count)
+    kept, node_of_piece = np.unique(_joined(np.bincount(piece), links, cell_px), return_inverse=True)
+    nodes, node = len(kept), node_of_piece[piece]
+    links = _links(node[first], node[second], nodes)
+    cell_of_piece = np.zeros(count, dtype=np.int64)
+    cell_of_piece[piece] = cell
+    cell_of_node = cell_of_piece[kept]
     taps, shares = _taps(
         template.pixels, cell_px, columns, node.astype(np.int32), cell_of_node, links.indptr, links.indices
     )
@@ -83,6 +86,32 @@ def lattice_on_template(template: TrackingTemplate, cell_px: int) -> TemplateLat
         cell_px=cell_px,
         count=int(nodes),
     )
+
+
+def _links(a: npt.NDArray[np.int64], b: npt.NDArray[np.int64], count: int) -> sp.csr_array:
+    """Adjacency of `count` nodes by pairs a, b (n,) of which some are equal."""
+    a, b = a[a != b], b[a != b]
+    ones = np.ones(2 * len(a), dtype=np.int8)
+    links = sp.csr_array((ones, (np.concatenate([a, b]), np.concatenate([b, a]))), shape=(count, count))
+    links.sum_duplicates()
+    return links
+
+
+def _joined(size: npt.NDArray[np.int64], links: sp.csr_array, least: int) -> npt.NDArray[np.int64]:
+    """Return the piece that each (pieces,) joins: itself, or with fewer than `least` vertices a larger one.
+
+    size: (pieces,) vertices. The largest one beside it is taken; where none is larger, the piece stays.
+    """
+    pieces = np.arange(len(size))
+    rank = np.empty_like(pieces)
+    rank[np.lexsort((pieces, size))] = pieces
+    largest = rank.copy()
+    np.maximum.at(largest, np.repeat(pieces, np.diff(links.indptr)), rank[links.indices])
+    by_rank = np.argsort(rank)
+    joins = np.where(size < least, by_rank[largest], pieces)
+    while not np.array_equal(joins, joins[joins]):
+        joins = joins[joins]
+    return joins
 
 
 class LocalJacobians:
@@ -129,7 +158,7 @@ def _first_moments(node, x, centre, positions, count):  # type: ignore[no-untype
 
 @njit(cache=True)
 def _taps(pixels, cell_px, columns, node, cell_of_node, starts, neighbours):  # type: ignore[no-untyped-def]
-    """Of the four cells around each vertex, the pieces that its own piece reaches in two steps."""
+    """Of the four cells around each vertex, the pieces that its own reaches in two steps, or its own."""
     n = len(node)
     taps, shares = np.zeros((n, 4), dtype=np.int32), np.zeros((n, 4), dtype=np.float32)
     for i in range(n):
@@ -148,6 +177,8 @@ def _taps(pixels, cell_px, columns, node, cell_of_node, starts, neighbours):  # 
                 a, b = x - u, y - v
                 shares[i, corner] = (a if du else 1 - a) * (b if dv else 1 - b)
                 total += shares[i, corner]
+        if total == 0.0:  # its piece joined one farther off
+            taps[i, 0], shares[i, 0], total = node[i], 1.0, 1.0
         for corner in range(4):
             shares[i, corner] /= total
     return taps, shares
