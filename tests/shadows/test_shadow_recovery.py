@@ -154,8 +154,10 @@ def test_what_wins_on_a_small_image_must_explain_the_light_on_the_large_one_too(
 
 
 @pytest.mark.parametrize(("tilt_deg", "finds_shadows"), [(25.0, True), (45.0, False)])
-def test_a_wall_far_behind_a_ball_keeps_its_normals_in_the_shadow(tilt_deg: float, finds_shadows) -> None:
-    """A depth that must hold together, from the ball to the wall, turns one of them over (10 degrees)."""
+def test_a_wall_far_behind_a_ball_keeps_its_normals_in_the_shadow(
+    tilt_deg: float, finds_shadows: bool
+) -> None:
+    """A depth that must hold together from the ball to the wall turns the wall, by 10 degrees in the mean."""
     v, u = np.mgrid[-60:101, -70:71] / 50.0
     square = 1.0 - u**2 - v**2
     on_ball = square > 0.02
@@ -191,10 +193,9 @@ def test_a_surface_turned_over_in_shadow_costs_more(stage) -> None:
     labelled = LabelledImage(image=image, labels=stage.labels, albedo=albedo)
     options = SurfaceOptions()
     right = labelled.solve(options, first_normals=stage.normals.astype(np.float32), guessed=stage.mask)
-    two = count_lit(stage.labels) == 2
+    here = stage.labels == 5  # the second of three lights is missing
     across = np.cross(*stage.response.lights[[0, 2]])
     across /= np.linalg.norm(across)
-    here = two & (stage.labels == 5)
     turned = right.normals - 2.0 * (right.normals @ across)[..., None] * across
     wrong = replace(right, normals=np.where(here[..., None], turned, right.normals).astype(np.float32))
     assert here.sum() > 100

@@ -39,7 +39,7 @@ _START_PIXELS = 15_000  # frames are halved until they are not larger; there the
 _CHECKING_ITERATIONS = 4  # steps there of a surface that is given
 _MIDDLE_ITERATIONS, _LARGE_ITERATIONS = 4, 3  # steps at every larger size, and at the largest, …
 _SETTLED_ITERATIONS = 2  # … of which the last ones settle
-_HELD = 3  # steps in which depth finds where it must step for the roots
+_HELD = 3  # iterations that keep the roots, while depth finds its steps
 _BORDER = np.ones((5, 5), np.uint8)  # around a shadow, whose steps of depth count with it
 
 
@@ -123,7 +123,10 @@ def _better_regions(first: FloatArray, second: FloatArray, shadow: Mask) -> Mask
 
 
 def _merged(first: Surface, second: Surface, better: Mask, shadow: Mask) -> Surface:
-    """Return the second surface with the first one's normals where that is better, and the depth of most."""
+    """Return a surface with the first one's normals where it is better, the second one's elsewhere.
+
+    Its depth is that of the one that most of the shadow takes.
+    """
     base = first if 2 * np.count_nonzero(better) > np.count_nonzero(shadow) else second
     return replace(base, normals=np.where(better[..., None], first.normals, second.normals))
 

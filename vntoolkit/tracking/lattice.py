@@ -103,11 +103,11 @@ def _joined(size: npt.NDArray[np.int64], links: sp.csr_array, least: int) -> npt
     size: (pieces,) vertices. The largest one beside it is taken; where none is larger, the piece stays.
     """
     pieces = np.arange(len(size))
+    by_rank = np.lexsort((pieces, size))
     rank = np.empty_like(pieces)
-    rank[np.lexsort((pieces, size))] = pieces
+    rank[by_rank] = pieces
     largest = rank.copy()
     np.maximum.at(largest, np.repeat(pieces, np.diff(links.indptr)), rank[links.indices])
-    by_rank = np.argsort(rank)
     joins = np.where(size < least, by_rank[largest], pieces)
     while not np.array_equal(joins, joins[joins]):
         joins = joins[joins]
