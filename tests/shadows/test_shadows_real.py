@@ -10,10 +10,9 @@ from vntoolkit.pipeline.referenced_captures import read_capture
 from vntoolkit.shadows.detector import ShadowDetector
 from vntoolkit.shadows.recovery import RecoveryMethod, recover_normals
 
-# Mean error over all pixels, and over pixels in one shadow. Measured: 8.21 and 17.5; 7.87 and 16.1; 7.56 and
-# 19.5 degrees. Before roots were held in shadows the second face had 7.35 and 18.5: hair in a corner of it is
-# far darker than its surroundings, so that two lights tell nothing of it.
-BOUNDS = {"buddha": (8.3, 17.8), "yaleB01": (7.9, 16.3), "yaleB02": (7.6, 19.6)}
+# Mean error over all pixels, and over pixels in one shadow. Measured: 8.22 and 17.6; 7.89 and 16.2; 7.34 and
+# 18.2 degrees.
+BOUNDS = {"buddha": (8.3, 17.8), "yaleB01": (7.9, 16.3), "yaleB02": (7.4, 18.5)}
 
 
 @pytest.mark.parametrize("name", BOUNDS)
@@ -32,6 +31,6 @@ def test_found_shadows_are_recovered_on_photographs(real_data: Path, name: str) 
     recovered = angles(RecoveryMethod.SURFACE)
     plain = angles(RecoveryMethod.INVERSION)
     lit = capture.mask & (count_lit(capture.labels) == 3)
-    assert recovered[lit].mean() < plain[lit].mean() + 0.25  # measured: 0.22, -0.87 and -0.68
+    assert recovered[lit].mean() < plain[lit].mean() + 0.23  # measured: 0.22, -0.87 and -0.86
     assert recovered[capture.mask].mean() < min(BOUNDS[name][0], plain[capture.mask].mean())
     assert recovered[one_shadow].mean() < min(BOUNDS[name][1], 0.85 * plain[one_shadow].mean())

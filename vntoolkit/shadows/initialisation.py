@@ -1,4 +1,4 @@
-"""The surface from the better of two starts.
+"""The surface from the best of several starts.
 
 Where two lights arrive the energy has two minima, since the quadratic of `roots_from_two_lights` has two
 roots. A smooth continuation of the lit surroundings leads to one of them, and the roots chosen by continuity
@@ -36,7 +36,7 @@ _LEAST_NOISE = 0.01  # of a cosine
 _LEAST_SPREAD, _DARKEST = 0.01, 1e-3  # of the albedo, of which no pixel is darker
 _FARTHER = 2.0  # an albedo 16 pixels off is known 1.0 to 1.5 times less well, most shadows lie farther off
 _START_PIXELS = 15_000  # frames are halved until they are not larger; there the starts are compared
-_CHECKING_ITERATIONS = 4  # steps there of a surface that is given
+_FEW_ITERATIONS = 4  # steps there of a surface that is given, and of what is put together
 _MIDDLE_ITERATIONS, _LARGE_ITERATIONS = 4, 3  # steps at every larger size, and at the largest, …
 _SETTLED_ITERATIONS = 2  # … of which the last ones settle
 _HELD = 3  # iterations that keep the roots, while depth finds its steps
@@ -94,24 +94,29 @@ def options_of_frame(slope: float | None, spread: float) -> SurfaceOptions:
 
 
 def _by_either_root(start: Surface | None, image: LabelledImage, options: SurfaceOptions) -> Surface | None:
-    """Solve from `start`, or a smooth continuation, and from the roots; take every shadow's better one."""
+    """Solve from the roots and from a smooth continuation; every shadow takes the best, `start` too."""
     shadow = image.shadow
     if start is not None and not shadow.any():
         return None
-    smooth = image.solve(
-        options if start is None else replace(options, iterations=_CHECKING_ITERATIONS), start
-    )
+    smooth = image.solve(options)
     if not shadow.any():
         return smooth
-    light, held = image.image.light, replace(options, held=_HELD)
+    light = image.image.light
     roots, decided = continue_with_two_lights(
         light.normals, light.relative_to(image.albedo), image.labels, light.lights, image.image.mask
     )
-    rooted = image.solve(held, first_normals=roots, guessed=decided)
-    better = _better_regions(image.energy(rooted, options), image.energy(smooth, options), shadow)
-    if not better.any():
+    rooted = image.solve(replace(options, held=_HELD), first_normals=roots, guessed=decided)
+    few = replace(options, iterations=_FEW_ITERATIONS)
+    best = smooth if start is None else image.solve(few, start)
+    energy, kept = image.energy(best, options), True
+    for other in (rooted,) if start is None else (smooth, rooted):
+        cost = image.energy(other, options)
+        better = _better_regions(cost, energy, shadow)
+        best, energy = _merged(other, best, better, shadow), np.where(better, cost, energy)
+        kept = kept and not better.any()
+    if kept:
         return smooth if start is None else None
-    return image.solve(held, _merged(rooted, smooth, better, shadow))
+    return image.solve(few, best)
 
 
 def _better_regions(first: FloatArray, second: FloatArray, shadow: Mask) -> Mask:
@@ -150,7 +155,7 @@ def _turned_to_light(normals: Normals, image: LabelledImage, spread: float) -> N
     _turns_kernel(
         flat(image.cosines), image.labels, inner, flat(normals), planes.astype(np.float32), turns, count
     )
-    share = np.float32(1.0 - (spread / ALBEDO_SPREAD) ** 2)
+    share = np.float32(1.0 - min(spread / ALBEDO_SPREAD, 1.0) ** 2)
     out = np.array(normals)
     _turn_kernel(turns, cv2.blur(turns, _AROUND), cv2.blur(count, _AROUND), count, share, flat(out))
     return out
@@ -209,7 +214,7 @@ def _turn_kernel(
 
 
 def spread_of_albedo(image: LabelledImage) -> float:
-    """Return how well the surroundings tell a shadow's albedo, no worse than what slopes start from.
+    """Return the relative standard deviation of a shadow's albedo, as its surroundings tell it.
 
     Told by the root of the mean squared difference of logs where all lights arrive.
     """
@@ -218,7 +223,7 @@ def spread_of_albedo(image: LabelledImage) -> float:
         return ALBEDO_SPREAD
     ratio = np.maximum(image.image.light.length[lit], _DARKEST) / np.maximum(image.albedo[lit], _DARKEST)
     spread = _FARTHER * np.sqrt(np.mean(np.log(ratio) ** 2))
-    return float(np.clip(spread, _LEAST_SPREAD, ALBEDO_SPREAD))
+    return float(max(spread, _LEAST_SPREAD))
 
 
 # How noisy the normals of one frame are: as far as no surface has them.

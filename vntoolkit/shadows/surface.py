@@ -66,7 +66,8 @@ class SurfaceOptions:
     out (interreflection, gloss). smoothness: weight of a shadowed pixel's slope being its surroundings' mean.
     iterations: Gauss–Newton steps. held: how many of them, the first ones, keep the slopes that they start
     from, while depth finds where it must step for them. settled: how many, the last ones, know the albedo
-    under shadow to `spread`, its relative standard deviation. cycles: of multigrid in each, at most.
+    under shadow to `spread`, its relative standard deviation, or to `ALBEDO_SPREAD` where that is less.
+    cycles: of multigrid in each, at most.
     """
 
     noise: float = 0.03
@@ -181,7 +182,7 @@ class LabelledImage:
         """Return (h, w), what a surface costs where two lights or three arrive.
 
         Light that it does not explain, and gradients of depth that are not its slopes': χ² of each quadrant,
-        no more than a step costs.
+        no more than a step costs. Where the albedo is told worse than slopes start from, light tells less.
         """
         image = self.image
         given = _given(self.cosines, self.labels, image.light.lights, image.mask, self._trust, image.camera)
@@ -189,7 +190,9 @@ class LabelledImage:
         slopes, quadratics = np.empty((2, *shape), np.float32), np.empty((6, *shape), np.float32)
         targets, weights = np.empty((2, *shape), np.float32), np.empty((4, *shape), np.float32)
         _from_normals_kernel(flat(surface.normals), given.rays, slopes)
-        given.quadratics(slopes, slopes, model_of(options, settled=False), quadratics, targets)
+        spread = np.float32(max(options.spread, ALBEDO_SPREAD))
+        model = model_of(options, settled=False)._replace(albedo_known=spread)
+        given.quadratics(slopes, slopes, model, quadratics, targets)
         given.weights(quadratics, slopes, surface.depth, (_STEP_SOFTNESS, _SHADOW_STEP_SOFTNESS), weights)
         most = np.array([0.0, 0.0, _SHADOW_STEP_SOFTNESS, _STEP_SOFTNESS], np.float32)
         return np.asarray(most[count_lit(given.seen)] * (1.0 - np.sqrt(weights).mean(axis=0)))
@@ -291,7 +294,7 @@ def model_of(options: SurfaceOptions, *, settled: bool) -> "Model":
     settled: whether every slope is on its side. Two lights under a known albedo leave two slopes with a ridge
     between them; one that is hardly known lets a slope cross, but then the light tells little.
     """
-    spread = options.spread if settled else ALBEDO_SPREAD
+    spread = min(options.spread, ALBEDO_SPREAD) if settled else ALBEDO_SPREAD
     missing = _MISSING_LIGHT_WEIGHT * (spread / ALBEDO_SPREAD) ** 2  # the better two lights tell, the less
     values = (
         options.noise, spread, _OWN_ALBEDO_SPREAD, options.smoothness, _DAMPING, missing,
