@@ -202,6 +202,20 @@ def test_a_surface_turned_over_in_shadow_costs_more(stage) -> None:
     assert (labelled.energy(wrong, options) - labelled.energy(right, options))[here].sum() > 0.0
 
 
+def test_light_costs_less_where_the_albedo_is_hardly_told(stage) -> None:
+    image, _ = working_image(stage.frame, stage.response, stage.mask, None)
+    albedo = albedo_from_lit(image.light.length, image.mask & (stage.labels == 7))
+    labelled = LabelledImage(image=image, labels=stage.labels, albedo=albedo)
+    surface = labelled.solve(SurfaceOptions(), first_normals=stage.normals.astype(np.float32))
+    darker = replace(labelled, albedo=0.7 * albedo)
+
+    def cost(spread: float) -> float:
+        return float(darker.energy(surface, SurfaceOptions(spread=spread))[darker.shadow].sum())
+
+    assert cost(0.05) == cost(0.15)  # slopes may cross while surfaces are compared
+    assert cost(0.5) < 0.8 * cost(0.15)
+
+
 def test_grid_solver_solves_what_a_dense_solver_solves(rng: np.random.Generator) -> None:
     edges = random_edges(rng, 4, 9, 7)
     dense = dense_matrix(edges)

@@ -2,9 +2,10 @@
 
 Where two lights arrive the energy has two minima, since the quadratic of `roots_from_two_lights` has two
 roots. A smooth continuation of the lit surroundings leads to one of them, and the roots chosen by continuity
-lead to the other. Every shadow keeps the one that costs less: that returns the light that is seen, by a depth
-that hangs together. Roots must be held until depth has found where it steps, as from a chin to the neck. A
-depth that holds together everywhere would turn them over.
+lead to the other. The surface that the labels came from competes with both. Every shadow keeps the one that
+costs least: that returns the light that is seen, by a depth that hangs together. Roots must be held until
+depth has found where it steps, as from a chin to the neck. A depth that holds together everywhere would turn
+them over.
 """
 
 from dataclasses import replace
@@ -36,7 +37,7 @@ _LEAST_NOISE = 0.01  # of a cosine
 _LEAST_SPREAD, _DARKEST = 0.01, 1e-3  # of the albedo, of which no pixel is darker
 _FARTHER = 2.0  # an albedo 16 pixels off is known 1.0 to 1.5 times less well, most shadows lie farther off
 _START_PIXELS = 15_000  # frames are halved until they are not larger; there the starts are compared
-_FEW_ITERATIONS = 4  # steps there of a surface that is given, and of what is put together
+_FEW_ITERATIONS = 4  # steps there of a surface that is given, and of one that was merged
 _MIDDLE_ITERATIONS, _LARGE_ITERATIONS = 4, 3  # steps at every larger size, and at the largest, …
 _SETTLED_ITERATIONS = 2  # … of which the last ones settle
 _HELD = 3  # iterations that keep the roots, while depth finds its steps
@@ -75,7 +76,7 @@ def _better_than(start: Surface | None, image: LabelledImage, options: SurfaceOp
     """Return a surface to go on from, found on a smaller image; None where `start` is as good."""
     mask = image.image.mask
     if mask.size <= _START_PIXELS:
-        return _by_either_root(start, image, options)
+        return _best_of_starts(start, image, options)
     small = image.halved()
     found = _better_than(None if start is None else start.shrunk(mask, 2), small, options)
     if found is None:
@@ -93,8 +94,11 @@ def options_of_frame(slope: float | None, spread: float) -> SurfaceOptions:
     return replace(options, noise=min(options.noise, max(_NOISE_PER_SLOPE * slope, _LEAST_NOISE)))
 
 
-def _by_either_root(start: Surface | None, image: LabelledImage, options: SurfaceOptions) -> Surface | None:
-    """Solve from the roots and from a smooth continuation; every shadow takes the best, `start` too."""
+def _best_of_starts(start: Surface | None, image: LabelledImage, options: SurfaceOptions) -> Surface | None:
+    """Solve from the roots, from a smooth continuation and from `start`; every shadow takes the best of them.
+
+    None where `start` is the best in all of them.
+    """
     shadow = image.shadow
     if start is not None and not shadow.any():
         return None
@@ -107,16 +111,19 @@ def _by_either_root(start: Surface | None, image: LabelledImage, options: Surfac
     )
     rooted = image.solve(replace(options, held=_HELD), first_normals=roots, guessed=decided)
     few = replace(options, iterations=_FEW_ITERATIONS)
-    best = smooth if start is None else image.solve(few, start)
-    energy, kept = image.energy(best, options), True
-    for other in (rooted,) if start is None else (smooth, rooted):
+    if start is None:
+        best, others = smooth, [rooted]
+    else:
+        best, others = image.solve(few, start), [smooth, rooted]
+    energy, changed = image.energy(best, options), False
+    for other in others:
         cost = image.energy(other, options)
         better = _better_regions(cost, energy, shadow)
         best, energy = _merged(other, best, better, shadow), np.where(better, cost, energy)
-        kept = kept and not better.any()
-    if kept:
-        return smooth if start is None else None
-    return image.solve(few, best)
+        changed = changed or bool(better.any())
+    if changed:
+        return image.solve(few, best)
+    return smooth if start is None else None
 
 
 def _better_regions(first: FloatArray, second: FloatArray, shadow: Mask) -> Mask:

@@ -66,7 +66,7 @@ class SurfaceOptions:
     out (interreflection, gloss). smoothness: weight of a shadowed pixel's slope being its surroundings' mean.
     iterations: Gauss–Newton steps. held: how many of them, the first ones, keep the slopes that they start
     from, while depth finds where it must step for them. settled: how many, the last ones, know the albedo
-    under shadow to `spread`, its relative standard deviation, or to `ALBEDO_SPREAD` where that is less.
+    under shadow to the lesser of `ALBEDO_SPREAD` and `spread`, its relative standard deviation as measured.
     cycles: of multigrid in each, at most.
     """
 
@@ -182,7 +182,7 @@ class LabelledImage:
         """Return (h, w), what a surface costs where two lights or three arrive.
 
         Light that it does not explain, and gradients of depth that are not its slopes': χ² of each quadrant,
-        no more than a step costs. Where the albedo is told worse than slopes start from, light tells less.
+        no more than a step costs. The worse the albedo is told beyond `ALBEDO_SPREAD`, the less light counts.
         """
         image = self.image
         given = _given(self.cosines, self.labels, image.light.lights, image.mask, self._trust, image.camera)
