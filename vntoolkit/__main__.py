@@ -37,6 +37,7 @@ def main(arguments: list[str] | None = None) -> int:
     except KeyboardInterrupt as interrupt:
         hint = str(interrupt) or "run the same command again to continue"
         print(f"\nvntoolkit: interrupted: {hint}", file=sys.stderr)
+        _let_go(interrupt)
         return INTERRUPTED
 
 
@@ -70,6 +71,16 @@ def _no_interrupt_lost() -> Iterator[None]:
     sys.unraisablehook = hook
     try:
         yield
+    finally:
+        sys.unraisablehook = before
+
+
+def _let_go(interrupt: KeyboardInterrupt) -> None:
+    """Free what the interrupted calls held, and do not tell if something half built fails to close."""
+    before = sys.unraisablehook
+    sys.unraisablehook = lambda _: None
+    try:
+        interrupt.__traceback__ = None
     finally:
         sys.unraisablehook = before
 

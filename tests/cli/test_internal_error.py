@@ -98,3 +98,24 @@ run()
     done = subprocess.run([sys.executable, "-c", script], check=False, capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (-signal.SIGINT, "")
     assert done.stdout
+
+
+def test_what_an_interrupt_leaves_half_built_leaves_no_traceback():
+    script = """
+import vntoolkit.cli
+from vntoolkit.__main__ import main
+
+class HalfBuilt:
+    def __del__(self):
+        self.pointer.close()
+
+def struck(_):
+    held = HalfBuilt()
+    raise KeyboardInterrupt
+
+vntoolkit.cli.run_verb = struck
+raise SystemExit(main(["doctor"]))
+"""
+    done = subprocess.run([sys.executable, "-c", script], check=False, capture_output=True, text=True)
+    assert done.returncode == entry.INTERRUPTED
+    assert done.stderr == "\nvntoolkit: interrupted: run the same command again to continue\n"
