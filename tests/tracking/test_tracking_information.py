@@ -373,6 +373,28 @@ def test_a_place_that_departs_farther_than_the_whole_sheet_does_is_doubted() -> 
     assert shares[0] > 1.5 * shares[1] > 0.0
 
 
+def test_the_body_is_guessed_less_surely_where_it_moves_beside_the_whole() -> None:
+    """The left half of a sheet that is not seen makes waves, the right one none."""
+    mask = np.zeros((HEIGHT, WIDTH), dtype=bool)
+    mask[8:88, 8:120] = True
+    flat = normals(np.zeros(mask.shape), np.zeros(mask.shape), mask)
+    template = template_from_maps(flat, flat_depth(mask), CAMERA)
+    lattice = lattice_on_template(template, 8)
+    slopes = slopes_from_normals(flat, CAMERA)
+    lengths = LinkLengths(lattice, template, CAMERA, slopes)
+    pixels, known = template.positions_px, np.ones(lattice.count)
+    u, v = (pixels - [24.0, 48.0]).T
+    waves = 4.0 * np.sin(v / 12.0) * np.exp(-((u / 12.0) ** 2))
+    moved = pixels + np.stack([0 * u, waves], axis=1)
+    around = LocalJacobians(lattice, pixels).of(moved)
+    guess = lengths.guessed(moved, around, np.zeros_like(slopes), flat_depth(mask), 0 * known, known)
+    drawn = np.linalg.norm(guess.doubt[:, :, 2:], axis=(1, 2)) / np.linalg.norm(lengths.along, axis=1)
+    more = drawn / np.linalg.norm(guess.field.errors, axis=(1, 2))
+    left, right = lengths.middles[:, 0] < 40.0, lengths.middles[:, 0] > 88.0
+    assert np.median(more[left]) > 1.3 * np.median(more[right])
+    assert np.median(more[right]) == pytest.approx(1.0, abs=0.15)
+
+
 def test_the_distance_to_an_outline_has_its_sign_and_size() -> None:
     mask = np.zeros((20, 30), dtype=bool)
     mask[5:15, 10:20] = True

@@ -13,6 +13,10 @@ Lengths are read where a node is believed to be. Where the surface is hidden the
 they are another surface's. So they are right with some probability only: the less, the worse they agree with
 the body, by what either may err.
 
+One variance does not do for all places: by that of a torso that hardly bends, the flank beside a raised arm
+is foretold too surely. So what is guessed beside the whole varies more where the guesses around are large, as
+in a Student-t process (`shah2014`). More is then left to lengths.
+
 Where the two differ, which of them holds is a doubt that all links share. So is whether a place moves beside
 the whole as it seems to, the more, the farther that is beyond what the body departs from the whole elsewhere:
 what slips, and draws its surroundings along, looks like that.
@@ -124,19 +128,22 @@ class LinkLengths:
         square = np.sum(self.along**2, axis=1)
         of_lengths = self._near_mean(_strain(steps - by_lengths, square), tested, STRAIN**2)
         of_lengths += of_normals
+        departs = np.sum(own**2, axis=1) / square
+        usual = 2.0 * field.variance
+        varies = 1.0 + self._near_mean(departs, np.ones_like(departs), 0.0) / usual
+        errors = np.sqrt(varies)[:, None, None] * field.errors
         of_body = self._near_mean(_strain(steps - by_body, square), tested, _BODY_STRAIN**2)
-        of_body += np.square(field.errors).sum(axis=(1, 2))
+        of_body += np.square(errors).sum(axis=(1, 2))
         apart = np.sum((by_lengths - by_body) ** 2, axis=1) / square
         right = share_right((1.0 - _MISTAKEN) * in_sight, apart, of_lengths + of_body)
         share = right * of_body / (of_lengths + of_body)
         mean = share[:, None] * by_lengths + (1.0 - share)[:, None] * by_body
-        departs = np.sum(own**2, axis=1)
-        unlikely = departs / (departs + 2.0 * field.variance * square)
+        unlikely = departs / (departs + usual)
         other = [
             np.sqrt(share * (1.0 - share))[:, None] * (by_lengths - by_body),
             (_SINGLE * (1.0 - share) * np.sqrt(unlikely))[:, None] * own,
         ]
-        drawn = ((1.0 - share) * np.sqrt(square))[:, None, None] * field.errors
+        drawn = ((1.0 - share) * np.sqrt(square))[:, None, None] * errors
         variance = square * np.minimum(of_lengths + 1.0 - in_sight, of_body)
         slip = square * (_CONTOUR_STRAIN * likely) ** 2
         return LinkGuess(
