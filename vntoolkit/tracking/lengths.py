@@ -100,6 +100,16 @@ class LinkLengths:
         """Return (nodes, 2) the means of positions (n, 2)."""
         return self._lattice.sums(positions_px) / self._counts[:, None]
 
+    def steps(self, positions_px: Points2) -> npt.NDArray[np.float64]:
+        """Return (links, 2) the steps from node to node of positions (n, 2)."""
+        nodes = self.nodes(positions_px)
+        return np.asarray(nodes[self.links[:, 1]] - nodes[self.links[:, 0]])
+
+    def tested(self, hidden: FloatArray, measured: FloatArray) -> npt.NDArray[np.float64]:
+        """Return (links,) how far each is measured, by its ends: (nodes,) share hidden, how far known."""
+        known = (1.0 - hidden) * measured
+        return np.minimum(*known[self.links.T])
+
     def guessed(
         self,
         positions_px: Points2,
@@ -120,7 +130,7 @@ class LinkLengths:
         in_sight = 1.0 - np.maximum(hidden[a], hidden[b])
         now = self.nodes(positions_px)
         reliable = (1.0 - hidden) * measured + _LEAST_RELIABLE
-        tested = np.minimum(reliable[a], reliable[b])
+        tested = self.tested(hidden, measured) + _LEAST_RELIABLE
         likely = np.minimum((contour + self._contour) / _CONTOUR_STEEPNESS, 1.0)
         whole, own, field = self._motion.guessed(now - self.centres, reliable, tested, likely, field)
         by_body = self.along + whole + own

@@ -238,7 +238,8 @@ class TemplateRegistration:
     def remembered(self) -> Remembered:
         """Return what is remembered before any frame was seen."""
         paint = self._paint_bands[:1]
-        return remembered_template((self._bands[0], *paint), self._nodes(self._pixels))
+        links = len(self._lattice.neighbours) // 2
+        return remembered_template((self._bands[0], *paint), self._nodes(self._pixels), links)
 
     def mixed_in(self, remembered: Remembered, measurement: Measurement, positions_px: Points2) -> Remembered:
         """Return what is remembered after a frame that was measured at positions (n, 2)."""

@@ -13,7 +13,10 @@ template's errors and these come from the same frames. So they do not add: in ev
 that tells more.
 
 The fit also obeys lengths, which only guess. What was measured alone would have put a node elsewhere: that
-`offset` is kept, else a guess would pull anew in each frame, and the surface would creep there.
+`offset` is kept, else a guess would pull anew in each frame, and the surface would creep there. And a guess
+errs in one frame as in the next: an elbow bends otherwise than a body does. By what links departed from it,
+because other things told of the place, they are expected to depart again; that fades where nothing tells.
+Links that are measured themselves need no such help. There it would let the surface walk off with the noise.
 """
 
 from __future__ import annotations
@@ -30,6 +33,7 @@ from vntoolkit.tracking.bands import Band
 from vntoolkit.tracking.slopes import gradients
 
 _RATE = 0.1  # of a frame in the mean: noise of ten averages out, light changes over more
+_PERSISTS = 0.5  # of a departure from a guess, from one frame to the next
 _ALIKE = 3.0  # frames that follow one another err alike, by the same light: so many count as one
 _LEAST_VARIANCE = 0.08 * np.eye(2)  # px²: a node's share of a window's is no less, by the windows' accuracy
 _CHANNELS = (slice(0, 2), slice(2, 3))  # of relief and of paint
@@ -57,7 +61,8 @@ class Remembered:
 
     features: (h, w, 2) of relief, or (h, w, 3) of relief and paint, on the template's raster. weights:
     (h, w, 1) or (h, w, 2) theirs. variance: (nodes, 2, 2) P in px² of the template. offset: (nodes, 2).
-    nodes_px: (nodes, 2) where the nodes were when last seen.
+    nodes_px: (nodes, 2) where the nodes were when last seen. departures: (links, 2) pixels of the frame, by
+    which links are expected to be off their guesses.
     """
 
     features: npt.NDArray[np.float32]
@@ -65,6 +70,7 @@ class Remembered:
     variance: npt.NDArray[np.float64]
     offset: npt.NDArray[np.float64]
     nodes_px: npt.NDArray[np.float64]
+    departures: npt.NDArray[np.float64]
 
     def beyond(
         self, fine: FloatArray, against: FloatArray, pull: FloatArray
@@ -103,6 +109,10 @@ class Remembered:
             nodes_px=np.asarray(nodes_px),
         )
 
+    def with_departures(self, departures: FloatArray, known: FloatArray) -> Remembered:
+        """Expect links to depart from guesses as now, (links, 2). known: (links,) how far by themselves."""
+        return replace(self, departures=_PERSISTS * (1.0 - known)[:, None] * departures)
+
     def bands(self, node: npt.NDArray[np.int32]) -> tuple[Band, ...]:
         """Return the same as bands to compare with; node: (h, w) of the raster."""
         nowhere = np.zeros(node.shape, dtype=np.bool_)
@@ -133,8 +143,11 @@ def what_exceeds(
     return more, np.einsum("nij,nj->ni", _full(more), found / other_size[:, None])
 
 
-def remembered_template(bands: tuple[Band, ...], nodes_px: Points2) -> Remembered:
-    """Return the memory of the template frame alone, in which everything is in its place."""
+def remembered_template(bands: tuple[Band, ...], nodes_px: Points2, links: int) -> Remembered:
+    """Return the memory of the template frame alone, in which everything is in its place.
+
+    links: of the lattice, how many.
+    """
     count = len(nodes_px)
     return Remembered(
         features=np.concatenate([band.features for band in bands], axis=-1),
@@ -142,6 +155,7 @@ def remembered_template(bands: tuple[Band, ...], nodes_px: Points2) -> Remembere
         variance=np.zeros((count, 2, 2)),
         offset=np.zeros((count, 2)),
         nodes_px=np.asarray(nodes_px),
+        departures=np.zeros((links, 2)),
     )
 
 

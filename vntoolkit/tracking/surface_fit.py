@@ -179,8 +179,8 @@ class SurfaceFit:
             outline, outline_pull = self._outline.measure(positions, inverse, figure)
             measured = np.minimum(1.0, information[:, 0] + information[:, 2])
             guess = lengths.guessed(positions, around, slopes, depth_map, hidden, measured, field)
-            field, now = guess.field, lengths.nodes(positions)
-            steps = guess.steps - (now[lengths.links[:, 1]] - now[lengths.links[:, 0]])
+            field = guess.field
+            steps = guess.steps + self.remembered.departures - lengths.steps(positions)
             alone = guess.torn + (1.0 - guess.torn) / LINKS_ALIKE
             variance = guess.variance + alone * np.sum(steps**2, axis=1) / _TORN_SIGMAS**2
             weight = 1.0 / (LINKS_ALIKE * variance)
@@ -195,7 +195,10 @@ class SurfaceFit:
             positions = positions + step
             if np.mean(np.maximum(*np.abs(step.T)) < enough) > _MOST:
                 break
-        self.remembered = self._registration.mixed_in(self.remembered, measurement, measured_at)
+        departures, tested = lengths.steps(positions) - guess.steps, lengths.tested(hidden, measured)
+        self.remembered = self._registration.mixed_in(
+            self.remembered, measurement, measured_at
+        ).with_departures(departures, tested)
         *measured_by, by_memory = _in_frame(measurement.windows, inverse)
         by_memory = replace(by_memory, slide_px=_HALF_WAVE_PX * self._mismatched(measurement, _WARNING))
         windows = [*measured_by, by_memory]
