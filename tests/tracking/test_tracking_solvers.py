@@ -156,7 +156,7 @@ def test_expected_errors_are_the_covariance_of_the_problem_where_measurements_de
     system = LatticeSystem(lengths.links, lattice.count)
     none = np.zeros((len(weight), 2, 3))
     solution = system.solve(information, np.zeros((lattice.count, 2)), weight, steps, none, 1.0)
-    square = errors.square(solution, [], information, weight**-0.5, none[:, :, :1])
+    square = errors.square(solution, [], information, weight**-0.5, solution.left, none[:, :, :1])
     expected = np.trace(np.linalg.inv([[4.0, 1.0], [1.0, 2.0]]))
     assert square.mean() == pytest.approx(expected, rel=0.1)  # of some 100 nodes with 16 samples each
 
@@ -173,7 +173,7 @@ def test_less_strain_than_given_is_expected_where_less_is_left(template) -> None
     for misfit in (0.0, 20.0):
         pull = np.column_stack([held * np.where(column == column.max(), misfit, 0.0), 0 * held])
         solution = system.solve(information, pull, weight, steps, none, 1.0)
-        told.append(errors.square(solution, [], information, weight**-0.5, none[:, :, :1]))
+        told.append(errors.square(solution, [], information, weight**-0.5, solution.left, none[:, :, :1]))
     between = held == 0
     assert told[0][between].mean() < 0.3 * told[1][between].mean()
 
@@ -187,7 +187,7 @@ def test_where_links_depart_farther_than_elsewhere_more_strain_is_expected(templ
     for departs in (np.ones(len(weight)), np.where(upper[lengths.links].all(axis=1), 3.0, 1.0)):
         steps = departs[:, None] * np.random.default_rng(0).normal(size=(len(weight), 2))
         solution = system.solve(information, np.zeros((lattice.count, 2)), weight, steps, none, 1.0)
-        told.append(errors.square(solution, [], information, weight**-0.5, none[:, :, :1]))
+        told.append(errors.square(solution, [], information, weight**-0.5, solution.left, none[:, :, :1]))
     alike, unlike = told
     share = unlike[upper].mean() / unlike[~upper].mean()
     assert share > 1.5 * alike[upper].mean() / alike[~upper].mean()
@@ -306,7 +306,7 @@ def test_which_of_two_guesses_holds_is_one_doubt_for_all_links_and_what_is_held_
         information, np.zeros((lattice.count, 2)), weight, steps, none, 1.0
     )
     sure, doubted = (
-        errors.square(solution, [], information, weight**-0.5, doubt[:, :, None])
+        errors.square(solution, [], information, weight**-0.5, solution.left, doubt[:, :, None])
         for doubt in (steps, 0.1 * lengths.along)  # a tenth of every length
     )
     expected = np.square(0.1 * (lengths.centres - lengths.centres[column == column.min()].mean(axis=0))[:, 0])

@@ -57,12 +57,14 @@ class FitErrors:
         windows: list[WindowSteps],
         outline: FloatArray,
         sd: FloatArray,
+        departures: FloatArray,
         doubt: FloatArray,
     ) -> npt.NDArray[np.float64]:
         """Return (nodes,) the expected squared error, px².
 
         windows: in pixels of the frame, as the information (nodes, 3) of the outline. sd: (links,) standard
-        deviation of the steps. doubt: (links, 2, k) as guessed.
+        deviation of the steps. departures: (links, 2) of the solution from what lengths guess. doubt: (links,
+        2, k) as guessed.
         """
         measured = np.einsum("nij,njk->nik", cholesky(outline), self._outline)
         for each, drawn in zip(windows, self._windows, strict=False):
@@ -83,7 +85,7 @@ class FitErrors:
         by_measurement, by_local, by_given = np.split(errors, [_SAMPLES, 2 * _SAMPLES], axis=2)
         foreseen = (left[:, :, :_SAMPLES] + left[:, :, _SAMPLES : 2 * _SAMPLES]) / size
         usual = np.square(self._compared @ foreseen.reshape(len(sd), 2 * _SAMPLES)).sum() / _SAMPLES
-        departs = solution.left / sd[:, None]
+        departs = departures / sd[:, None]
         found = np.square(self._compared @ departs).sum()
         whole = np.sqrt(_PRIOR + (1.0 - _PRIOR) * (found / usual if usual > 0 else 1.0))
         strain = whole * self._varies(departs[:, :, None], foreseen)

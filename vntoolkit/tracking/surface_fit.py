@@ -166,6 +166,7 @@ class SurfaceFit:
         if lost.any() and not lost.all():
             positions, measurement = self._found_again(positions, around, measurement, lost, seen)
         around = self._jacobians.of(positions)
+        expected = self.remembered.departures
         enough = _CONVERGED * np.maximum(expected_px, _LEAST_ERROR_PX)
         field: FittedField | None = None
         for number in range(_ITERATIONS):
@@ -180,7 +181,7 @@ class SurfaceFit:
             measured = np.minimum(1.0, information[:, 0] + information[:, 2])
             guess = lengths.guessed(positions, around, slopes, depth_map, hidden, measured, field)
             field = guess.field
-            steps = guess.steps + self.remembered.departures - lengths.steps(positions)
+            steps = guess.steps + expected - lengths.steps(positions)
             alone = guess.torn + (1.0 - guess.torn) / LINKS_ALIKE
             variance = guess.variance + alone * np.sum(steps**2, axis=1) / _TORN_SIGMAS**2
             weight = 1.0 / (LINKS_ALIKE * variance)
@@ -195,14 +196,14 @@ class SurfaceFit:
             positions = positions + step
             if np.mean(np.maximum(*np.abs(step.T)) < enough) > _MOST:
                 break
-        departures, tested = lengths.steps(positions) - guess.steps, lengths.tested(hidden, measured)
+        departures, tested = solution.left + expected, lengths.tested(hidden, measured)
         self.remembered = self._registration.mixed_in(
             self.remembered, measurement, measured_at
         ).with_departures(departures, tested)
         *measured_by, by_memory = _in_frame(measurement.windows, inverse)
         by_memory = replace(by_memory, slide_px=_HALF_WAVE_PX * self._mismatched(measurement, _WARNING))
         windows = [*measured_by, by_memory]
-        square = self._errors.square(solution, windows, outline, np.sqrt(variance), guess.doubt)
+        square = self._errors.square(solution, windows, outline, np.sqrt(variance), departures, guess.doubt)
         square += self._of_the_whole(information + outline)
         # What is only guessed, and looks otherwise there, is within half a wave: nine in ten, no spread.
         square += (1.0 - measured) * (by_memory.slide_px / _COVERAGE) ** 2
