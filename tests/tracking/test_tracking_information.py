@@ -9,7 +9,7 @@ import pytest
 from tests.tracking.wrinkled_video import WrinkledVideo
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, NormalMap
-from vntoolkit.tracking.lattice import LocalJacobians, lattice_on_template
+from vntoolkit.tracking.lattice import LocalJacobians, TemplateLattice, lattice_on_template
 from vntoolkit.tracking.lengths import LinkLengths, share_right
 from vntoolkit.tracking.outline import Outline, outline_of_figure, signed_distance
 from vntoolkit.tracking.registration import Measurement, TemplateRegistration
@@ -290,15 +290,21 @@ def test_a_surface_may_slip_behind_an_occluding_contour_and_hangs_together_elsew
             assert strain.max() < 0.05, name
 
 
-def test_lengths_hold_where_the_surface_is_seen_and_a_body_moves_it_where_it_is_not() -> None:
-    """A part of a rigid sheet is read off another slope; or it is hidden, or nothing is known."""
+def flat_lengths() -> tuple[np.ndarray, np.ndarray, TemplateLattice, LinkLengths]:
+    """A flat sheet: mask (h, w), positions (n, 2) in pixels, lattice and lengths."""
     mask = np.zeros((HEIGHT, WIDTH), dtype=bool)
     mask[8:88, 8:120] = True
     flat = normals(np.zeros(mask.shape), np.zeros(mask.shape), mask)
     template = template_from_maps(flat, flat_depth(mask), CAMERA)
     lattice = lattice_on_template(template, 8)
     lengths = LinkLengths(lattice, template, CAMERA, slopes_from_normals(flat, CAMERA))
-    pixels, known = template.positions_px, (lengths.centres[:, 0] < 84).astype(np.float64)
+    return mask, template.positions_px, lattice, lengths
+
+
+def test_lengths_hold_where_the_surface_is_seen_and_a_body_moves_it_where_it_is_not() -> None:
+    """A part of a rigid sheet is read off another slope; or it is hidden, or nothing is known."""
+    mask, pixels, lattice, lengths = flat_lengths()
+    known = (lengths.centres[:, 0] < 84).astype(np.float64)
     around = LocalJacobians(lattice, pixels).of(pixels)
     part = (GRID[..., 0] > 88) & mask
     sloping = slopes_from_normals(normals(np.where(part, 0.6, 0.0), np.zeros(mask.shape), mask), CAMERA)
@@ -375,19 +381,14 @@ def test_a_place_that_departs_farther_than_the_whole_sheet_does_is_doubted() -> 
 
 def test_the_body_is_guessed_less_surely_where_it_moves_beside_the_whole() -> None:
     """The left half of a sheet that is not seen makes waves, the right one none."""
-    mask = np.zeros((HEIGHT, WIDTH), dtype=bool)
-    mask[8:88, 8:120] = True
-    flat = normals(np.zeros(mask.shape), np.zeros(mask.shape), mask)
-    template = template_from_maps(flat, flat_depth(mask), CAMERA)
-    lattice = lattice_on_template(template, 8)
-    slopes = slopes_from_normals(flat, CAMERA)
-    lengths = LinkLengths(lattice, template, CAMERA, slopes)
-    pixels, known = template.positions_px, np.ones(lattice.count)
-    u, v = (pixels - [24.0, 48.0]).T
+    mask, pixels, lattice, lengths = flat_lengths()
+    known, (u, v) = np.ones(lattice.count), (pixels - [24.0, 48.0]).T
     waves = 4.0 * np.sin(v / 12.0) * np.exp(-((u / 12.0) ** 2))
     moved = pixels + np.stack([0 * u, waves], axis=1)
     around = LocalJacobians(lattice, pixels).of(moved)
-    guess = lengths.guessed(moved, around, np.zeros_like(slopes), flat_depth(mask), 0 * known, known)
+    guess = lengths.guessed(
+        moved, around, np.zeros((*mask.shape, 3), np.float32), flat_depth(mask), 0 * known, known
+    )
     drawn = np.linalg.norm(guess.doubt[:, :, 2:], axis=(1, 2)) / np.linalg.norm(lengths.along, axis=1)
     more = drawn / np.linalg.norm(guess.field.errors, axis=(1, 2))
     left, right = lengths.middles[:, 0] < 40.0, lengths.middles[:, 0] > 88.0

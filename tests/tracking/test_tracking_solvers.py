@@ -176,6 +176,8 @@ def test_less_strain_than_given_is_expected_where_less_is_left(template) -> None
         told.append(errors.square(solution, [], information, weight**-0.5, solution.left, none[:, :, :1]))
     between = held == 0
     assert told[0][between].mean() < 0.3 * told[1][between].mean()
+    expected = errors.square(solution, [], information, weight**-0.5, 2.0 * solution.left, none[:, :, :1])
+    assert expected[between].mean() > 2.0 * told[1][between].mean()  # half of it was expected
 
 
 def test_where_links_depart_farther_than_elsewhere_more_strain_is_expected(template) -> None:

@@ -1,10 +1,11 @@
 """The error to expect of a fit: errors are drawn for every term of the problem, and solved with.
 
 Windows overlap, and strain goes on from link to link: errors of neighbours are alike. So each kind is drawn
-as white noise, smoothed as far as it reaches. How large the strain is that nothing foresees is read from what
-the solution leaves of it (a variance component, `foerstner1979`): as much as drawn strain leaves, if it is as
-large as given. Only the part that varies slowly over the figure is compared: that part adds up to errors.
-Where links depart farther than elsewhere, as along an arm that opens, the strain is larger than the mean.
+as white noise, smoothed as far as it reaches. How large the strain is that nothing foresees is read from how
+far the solution departs from the guesses (a variance component, `foerstner1979`): as far as from drawn
+strain, if it is as large as given. Only the part that varies slowly over the figure is compared: that part
+adds up to errors. Where links depart farther than elsewhere, as along an arm that opens, the strain is larger
+than the mean.
 
 The finest relief sits on the surface. Shapes beside an occluding contour may stay in place while the surface
 turns beneath them: windows that see them then all have the same error. So have those on what is remembered of
