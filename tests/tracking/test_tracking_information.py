@@ -320,6 +320,26 @@ def test_lengths_hold_where_the_surface_is_seen_and_a_body_moves_it_where_it_is_
     assert off(nothing, 0.0) < 0.1
 
 
+def test_lengths_err_by_a_share_of_what_is_left_of_them_in_the_image() -> None:
+    """Normals that err alike: of a part that is seen obliquely now, and of one that was in the template."""
+    mask = np.zeros((HEIGHT, WIDTH), dtype=bool)
+    mask[8:88, 8:120] = True
+    flat, oblique = (normals(np.full(mask.shape, p), np.zeros(mask.shape), mask) for p in (0.0, 1.5))
+    errs = []
+    for first, second in ((flat, oblique), (oblique, flat)):
+        template = template_from_maps(first, flat_depth(mask), CAMERA)
+        lattice = lattice_on_template(template, 8)
+        lengths = LinkLengths(lattice, template, CAMERA, slopes_from_normals(first, CAMERA))
+        still = template.positions_px
+        around = LocalJacobians(lattice, still).of(still)
+        steps, strain, _ = lengths._by_lengths(
+            still, around, slopes_from_normals(second, CAMERA), flat_depth(mask)
+        )
+        across = np.abs(lengths.along[:, 0]) > 4
+        errs.append(np.median((np.sqrt(strain) * np.hypot(*lengths.along.T) / np.hypot(*steps.T))[across]))
+    assert errs[0] == pytest.approx(errs[1], rel=0.01)
+
+
 def test_lengths_that_no_motion_of_the_body_explains_are_another_surface_s() -> None:
     before, variance = np.full(3, 0.95), np.full(3, 0.01)
     close, far, farther = share_right(before, np.array([0.01, 0.1, 0.2]), variance)

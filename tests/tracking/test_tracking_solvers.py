@@ -156,7 +156,7 @@ def test_expected_errors_are_the_covariance_of_the_problem_where_measurements_de
     system = LatticeSystem(lengths.links, lattice.count)
     none = np.zeros((len(weight), 2, 3))
     solution = system.solve(information, np.zeros((lattice.count, 2)), weight, steps, none, 1.0)
-    square = errors.square(solution, [], information, weight**-0.5, solution.left, none[:, :, :1])
+    square = errors.expected(solution, [], information, weight**-0.5, solution.left, none[:, :, :1])[0]
     expected = np.trace(np.linalg.inv([[4.0, 1.0], [1.0, 2.0]]))
     assert square.mean() == pytest.approx(expected, rel=0.1)  # of some 100 nodes with 16 samples each
 
@@ -173,11 +173,28 @@ def test_less_strain_than_given_is_expected_where_less_is_left(template) -> None
     for misfit in (0.0, 20.0):
         pull = np.column_stack([held * np.where(column == column.max(), misfit, 0.0), 0 * held])
         solution = system.solve(information, pull, weight, steps, none, 1.0)
-        told.append(errors.square(solution, [], information, weight**-0.5, solution.left, none[:, :, :1]))
+        square, _ = errors.expected(solution, [], information, weight**-0.5, solution.left, none[:, :, :1])
+        told.append(square)
     between = held == 0
     assert told[0][between].mean() < 0.3 * told[1][between].mean()
-    expected = errors.square(solution, [], information, weight**-0.5, 2.0 * solution.left, none[:, :, :1])
+    left = 2.0 * solution.left
+    expected, _ = errors.expected(solution, [], information, weight**-0.5, left, none[:, :, :1])
     assert expected[between].mean() > 2.0 * told[1][between].mean()  # half of it was expected
+
+
+def test_it_is_said_how_far_other_things_than_its_guess_tell_of_a_link(template) -> None:
+    """The left half of a figure is measured, the right one only guessed."""
+    lattice, lengths, errors = errors_problem(template)
+    left = lattice.cells[:, 0] < np.median(lattice.cells[:, 0])
+    information = np.column_stack([100.0 * left, 0.0 * left, 100.0 * left])
+    weight, steps = np.ones(len(lengths.links)), np.zeros((len(lengths.links), 2))
+    none = np.zeros((len(weight), 2, 3))
+    solution = LatticeSystem(lengths.links, lattice.count).solve(
+        information, np.zeros((lattice.count, 2)), weight, steps, none, 1.0
+    )
+    _, told = errors.expected(solution, [], information, weight**-0.5, solution.left, none[:, :, :1])
+    assert told[left[lengths.links].all(axis=1)].min() > 0.9
+    assert told[~left[lengths.links].any(axis=1)].mean() < 0.5  # guesses that disagree tell of one another
 
 
 def test_where_links_depart_farther_than_elsewhere_more_strain_is_expected(template) -> None:
@@ -189,7 +206,8 @@ def test_where_links_depart_farther_than_elsewhere_more_strain_is_expected(templ
     for departs in (np.ones(len(weight)), np.where(upper[lengths.links].all(axis=1), 3.0, 1.0)):
         steps = departs[:, None] * np.random.default_rng(0).normal(size=(len(weight), 2))
         solution = system.solve(information, np.zeros((lattice.count, 2)), weight, steps, none, 1.0)
-        told.append(errors.square(solution, [], information, weight**-0.5, solution.left, none[:, :, :1]))
+        square, _ = errors.expected(solution, [], information, weight**-0.5, solution.left, none[:, :, :1])
+        told.append(square)
     alike, unlike = told
     share = unlike[upper].mean() / unlike[~upper].mean()
     assert share > 1.5 * alike[upper].mean() / alike[~upper].mean()
@@ -308,7 +326,7 @@ def test_which_of_two_guesses_holds_is_one_doubt_for_all_links_and_what_is_held_
         information, np.zeros((lattice.count, 2)), weight, steps, none, 1.0
     )
     sure, doubted = (
-        errors.square(solution, [], information, weight**-0.5, solution.left, doubt[:, :, None])
+        errors.expected(solution, [], information, weight**-0.5, solution.left, doubt[:, :, None])[0]
         for doubt in (steps, 0.1 * lengths.along)  # a tenth of every length
     )
     expected = np.square(0.1 * (lengths.centres - lengths.centres[column == column.min()].mean(axis=0))[:, 0])

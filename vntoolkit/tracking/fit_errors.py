@@ -52,7 +52,7 @@ class FitErrors:
         self._local = np.einsum("eijk,ej->eik", strain, along)
         self._compared = _compared(lengths)
 
-    def square(
+    def expected(
         self,
         solution: LatticeSolution,
         windows: list[WindowSteps],
@@ -60,8 +60,8 @@ class FitErrors:
         sd: FloatArray,
         departures: FloatArray,
         doubt: FloatArray,
-    ) -> npt.NDArray[np.float64]:
-        """Return (nodes,) the expected squared error, px².
+    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        """Return (nodes,) the expected squared error, px², and (links,) how far links are told.
 
         windows: in pixels of the frame, as the information (nodes, 3) of the outline. sd: (links,) standard
         deviation of the steps. departures: (links, 2) of the solution from what lengths guess. doubt: (links,
@@ -91,7 +91,14 @@ class FitErrors:
         whole = np.sqrt(_PRIOR + (1.0 - _PRIOR) * (found / usual if usual > 0 else 1.0))
         strain = whole * self._varies(departs[:, :, None], foreseen)
         drawn = np.square(by_measurement + strain[:, None, None] * by_local).sum(axis=1).mean(axis=1)
-        return np.asarray(drawn + np.square(by_given).sum(axis=(1, 2)))
+        square = np.asarray(drawn + np.square(by_given).sum(axis=(1, 2)))
+        return square, self._told(by_measurement + by_local, size * self._local)
+
+    def _told(self, errors: FloatArray, guessed: FloatArray) -> npt.NDArray[np.float64]:
+        """(links,) the share by which drawn errors (nodes, 2, k) of a link are below those of its guess."""
+        a, b = self._links.T
+        squares = [np.square(each).sum(axis=(1, 2)) for each in (errors[b] - errors[a], guessed)]
+        return np.clip(1.0 - squares[0] / np.maximum(squares[1], 1e-12), 0.0, 1.0)
 
     def _varies(self, *departures: FloatArray) -> npt.NDArray[np.float64]:
         """(nodes,) strain around each over its root mean square, by departures (links, 2, k) of links."""

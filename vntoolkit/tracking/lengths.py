@@ -45,7 +45,7 @@ _BODY_STRAIN = 0.3  # the same, of a surface taken for one body: a face that tal
 _PRIOR_LINKS = 0.2  # measured links nearby that the two count for
 _NEAR_PASSES = 8  # of lattice smoothing: how far around a guess's success counts
 _NORMAL_ERROR = 0.05  # radians: shading that departs from the model turns normals by 3°
-_INDEPENDENT = 8.0  # errors by weight in a cell: alike over some pixels, they average out over the rest
+_INDEPENDENT = 20.0  # errors by weight in a cell: alike over some pixels, they average out over the rest
 _MISTAKEN = 0.05  # share of lengths that are another surface's where nothing is known to be hidden
 _SLOW_DEGREE = 2  # of the polynomials in place that vary slowly
 TURN = 0.1  # standard deviation of a slow turn in one step of the fit, radians
@@ -85,6 +85,7 @@ class LinkLengths:
         once = rows < lattice.neighbours
         self.links = np.stack([rows[once], lattice.neighbours[once]], axis=1).astype(np.int64)
         self.along = self.centres[self.links[:, 1]] - self.centres[self.links[:, 0]]
+        self._square = np.sum(self.along**2, axis=1)
         self.middles = self.centres[self.links].mean(axis=1)
         self._depth = template.vertices_in_camera[:, 2]
         metric, recedes, self._seen = self._metric(
@@ -135,7 +136,7 @@ class LinkLengths:
         whole, own, field = self._motion.guessed(now - self.centres, reliable, tested, likely, field)
         by_body = self.along + whole + own
         steps = now[b] - now[a]
-        square = np.sum(self.along**2, axis=1)
+        square = self._square
         of_lengths = self._near_mean(_strain(steps - by_lengths, square), tested, STRAIN**2)
         of_lengths += of_normals
         departs = np.sum(own**2, axis=1) / square
@@ -183,8 +184,10 @@ class LinkLengths:
         now = nodes[b] - nodes[a]
         weight = np.clip(np.minimum(seen, self._seen) / np.maximum(self._counts, 1), _LEAST_WEIGHT, 1.0)
         turned = _NORMAL_ERROR**2 + np.radians(HALF_WEIGHT_DEG) ** 2 / _INDEPENDENT * (1.0 / weight - 1.0)
-        strain = turned * (_steepness(metric) + self._steepness + turned)
-        return steps, np.maximum(strain[a], strain[b]), self._at_contours(metric, recedes, now)
+        # By its own length: a link that is foreshortened to a third errs by a third as many pixels.
+        errs = turned * (_steepness(metric) + self._steepness + turned)
+        strain = np.maximum(errs[a], errs[b]) * np.sum(steps**2, axis=1) / self._square
+        return steps, strain, self._at_contours(metric, recedes, now)
 
     def _at_contours(
         self, metric: FloatArray, recedes: FloatArray, steps: FloatArray

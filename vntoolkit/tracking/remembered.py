@@ -14,9 +14,10 @@ that tells more.
 
 The fit also obeys lengths, which only guess. What was measured alone would have put a node elsewhere: that
 `offset` is kept, else a guess would pull anew in each frame, and the surface would creep there. And a guess
-errs in one frame as in the next: an elbow bends otherwise than a body does. By what links departed from it,
-because other things told of the place, they are expected to depart again; that fades where nothing tells.
-Links that are measured themselves need no such help. There it would let the surface walk off with the noise.
+errs in one frame as in the next: an elbow bends otherwise than a body does. By what links departed from it
+they are expected to depart again, as far as other things told of that: by the share that these take off the
+guess's variance. So a forearm that nothing tells of for some frames stays beyond its elbow. Links that are
+measured themselves need no such help. There it would let the surface walk off with the noise.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ from vntoolkit.tracking.bands import Band
 from vntoolkit.tracking.slopes import gradients
 
 _RATE = 0.1  # of a frame in the mean: noise of ten averages out, light changes over more
-_PERSISTS = 0.5  # of a departure from a guess, from one frame to the next
+_PERSISTS = 0.7  # of a departure from a guess, from one frame to the next
 _ALIKE = 3.0  # frames that follow one another err alike, by the same light: so many count as one
 _LEAST_VARIANCE = 0.08 * np.eye(2)  # px²: a node's share of a window's is no less, by the windows' accuracy
 _CHANNELS = (slice(0, 2), slice(2, 3))  # of relief and of paint
@@ -109,9 +110,9 @@ class Remembered:
             nodes_px=np.asarray(nodes_px),
         )
 
-    def with_departures(self, departures: FloatArray, known: FloatArray) -> Remembered:
-        """Expect links to depart from guesses as now, (links, 2). known: (links,) how far by themselves."""
-        return replace(self, departures=_PERSISTS * (1.0 - known)[:, None] * departures)
+    def with_departures(self, departures: FloatArray, told: FloatArray) -> Remembered:
+        """Expect links to depart from guesses as now, (links, 2). told: (links,) how far that is known."""
+        return replace(self, departures=_PERSISTS * told[:, None] * departures)
 
     def bands(self, node: npt.NDArray[np.int32]) -> tuple[Band, ...]:
         """Return the same as bands to compare with; node: (h, w) of the raster."""

@@ -197,13 +197,15 @@ class SurfaceFit:
             if np.mean(np.maximum(*np.abs(step.T)) < enough) > _MOST:
                 break
         departures, tested = solution.left + expected, lengths.tested(hidden, measured)
-        self.remembered = self._registration.mixed_in(
-            self.remembered, measurement, measured_at
-        ).with_departures(departures, tested)
         *measured_by, by_memory = _in_frame(measurement.windows, inverse)
         by_memory = replace(by_memory, slide_px=_HALF_WAVE_PX * self._mismatched(measurement, _WARNING))
         windows = [*measured_by, by_memory]
-        square = self._errors.square(solution, windows, outline, np.sqrt(variance), departures, guess.doubt)
+        square, told = self._errors.expected(
+            solution, windows, outline, np.sqrt(variance), departures, guess.doubt
+        )
+        self.remembered = self._registration.mixed_in(
+            self.remembered, measurement, measured_at
+        ).with_departures(departures, told * (1.0 - tested))
         square += self._of_the_whole(information + outline)
         # What is only guessed, and looks otherwise there, is within half a wave: nine in ten, no spread.
         square += (1.0 - measured) * (by_memory.slide_px / _COVERAGE) ** 2
