@@ -122,12 +122,19 @@ def test_where_measurements_pull_is_kept_though_lengths_held_the_surface_back() 
     assert pull[0, 0] / more[0, 0] == pytest.approx(0.5, abs=0.01)
 
 
-def test_departures_from_guesses_fade_and_persist_as_far_as_they_are_told() -> None:
+def test_departures_from_guesses_fade_and_are_kept_where_they_are_told_and_links_are_not_measured() -> None:
     departs = np.array([[2.0, 0.0], [0.0, 4.0], [1.0, 1.0]])
-    remembered = memory().with_departures(departs, told=np.array([1.0, 0.5, 0.0]))
+    told, none = np.array([1.0, 0.5, 0.0]), np.zeros(3)
+    remembered = memory().with_departures(departs, told, tested=none)
     assert 0.0 < remembered.departures[0, 0] < departs[0, 0]
     assert remembered.departures[1, 1] == pytest.approx(remembered.departures[0, 0])
     np.testing.assert_array_equal(remembered.departures[2], 0.0)
+    measured = memory().with_departures(departs, none + 1.0, tested=np.array([0.0, 0.0, 1.0]))
+    assert measured.departures[1, 1] > remembered.departures[1, 1]
+    np.testing.assert_array_equal(measured.departures[2], 0.0)
+    followed = remembered.with_departures(remembered.departures, told=none + 1.0, tested=none)
+    ratio = followed.departures[:2] / np.where(departs[:2] > 0, departs[:2], 1.0)
+    assert ratio.max() < remembered.departures[0, 0] / departs[0, 0]
 
 
 def test_of_two_informations_the_greater_counts_in_every_direction(rng: np.random.Generator) -> None:

@@ -61,11 +61,11 @@ class FitErrors:
         departures: FloatArray,
         doubt: FloatArray,
     ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-        """Return (nodes,) the expected squared error, px², and (links,) how far links are told.
+        """Return (nodes,) the expected squared error, px², and (links,) how far links are known.
 
         windows: in pixels of the frame, as the information (nodes, 3) of the outline. sd: (links,) standard
         deviation of the steps. departures: (links, 2) of the solution from what lengths guess. doubt: (links,
-        2, k) as guessed.
+        2, k) as guessed. A link that errs as its guess does is known by 0, one that does not err by 1.
         """
         measured = np.einsum("nij,njk->nik", cholesky(outline), self._outline)
         for each, drawn in zip(windows, self._windows, strict=False):

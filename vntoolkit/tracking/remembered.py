@@ -110,9 +110,12 @@ class Remembered:
             nodes_px=np.asarray(nodes_px),
         )
 
-    def with_departures(self, departures: FloatArray, told: FloatArray) -> Remembered:
-        """Expect links to depart from guesses as now, (links, 2). told: (links,) how far that is known."""
-        return replace(self, departures=_PERSISTS * told[:, None] * departures)
+    def with_departures(self, departures: FloatArray, told: FloatArray, tested: FloatArray) -> Remembered:
+        """Expect links to depart from guesses as now, (links, 2).
+
+        told: (links,) from 0 to 1, how far that is known. tested: (links,) how far links are measured.
+        """
+        return replace(self, departures=_PERSISTS * (told * (1.0 - tested))[:, None] * departures)
 
     def bands(self, node: npt.NDArray[np.int32]) -> tuple[Band, ...]:
         """Return the same as bands to compare with; node: (h, w) of the raster."""

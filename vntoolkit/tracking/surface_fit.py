@@ -205,7 +205,7 @@ class SurfaceFit:
         )
         self.remembered = self._registration.mixed_in(
             self.remembered, measurement, measured_at
-        ).with_departures(departures, told * (1.0 - tested))
+        ).with_departures(departures, told, tested)
         square += self._of_the_whole(information + outline)
         # What is only guessed, and looks otherwise there, is within half a wave: nine in ten, no spread.
         square += (1.0 - measured) * (by_memory.slide_px / _COVERAGE) ** 2
