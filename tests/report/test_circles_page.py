@@ -132,7 +132,9 @@ def test_the_server_writes_labels_for_its_own_page_only(page: CirclesViewer, pre
 def test_a_circle_is_dragged_in_a_browser(page: CirclesViewer, presses: Path) -> None:
     before = label(presses, "press-2")
     with visit(page.address, 900, 700) as seen:
-        seen.page.wait_for_function("presses.length === 3 && still.width > 100")
+        seen.page.wait_for_selector("#cards .card")  # drawn once; the cards take room from the canvas
+        two_frames = "requestAnimationFrame(() => requestAnimationFrame(done))"
+        seen.page.evaluate(f"() => new Promise((done) => {two_frames})")
         to_page = (
             "([u, v]) => { const box = canvas.getBoundingClientRect(), ratio = canvas.width / box.width,"
             " at = onScreen(u, v); return [box.left + at[0] / ratio, box.top + at[1] / ratio]; }"

@@ -6,6 +6,7 @@ const token = new URLSearchParams(location.search).get("token");
 const NEAR_PX = 12, BLUE = "#4fa3ff", ORANGE = "#ffb000", FIRST_SHARE = 0.12, HINT_PX = 24;
 let presses = [], corners = null, at = 0, cornering = false, held = null, last = null;
 let scale = 1, left = 0, top_ = 0, asked = 0;
+still.width = 0;  // until a picture has come, there is nothing to draw, drag or remove
 
 const path = (name, query) => `${name}?${new URLSearchParams({ token, ...query })}`;
 async function ask(name, query = {}, method = "GET") {
@@ -79,7 +80,7 @@ function place(event) {
 }
 const nearby = () => (NEAR_PX * (devicePixelRatio || 1)) / scale;
 canvas.addEventListener("pointerdown", (event) => {
-  if (!presses.length) return;
+  if (!still.width) return;
   const [u, v] = place(event);
   canvas.setPointerCapture(event.pointerId);
   if (cornering) {
@@ -124,12 +125,12 @@ for (const kind of ["pointerup", "pointercancel"]) canvas.addEventListener(kind,
 
 // ---- buttons and keys ----
 function go(step) {
-  if (cornering) return;
+  if (cornering || !still.width) return;
   at = clamp(at + step, presses.length);
   show().catch(complain);
 }
 async function remove() {
-  if (cornering) return;
+  if (cornering || !still.width) return;
   Object.assign(presses[at], { circle: null, by: "hand" });
   draw();
   await ask("/none", { press: at }, "POST").catch(complain);
@@ -151,5 +152,5 @@ addEventListener("keydown", (event) => {
   else if (event.key === "ArrowLeft") go(-1);
   else if (event.key === "x") remove();
 });
-new ResizeObserver(() => presses.length && draw()).observe(canvas);  // also when the cards take some of its room
+new ResizeObserver(() => still.width && draw()).observe(canvas);  // also when the cards take some of its room
 load().catch(complain);
