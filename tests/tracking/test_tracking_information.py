@@ -9,6 +9,7 @@ import pytest
 from tests.tracking.wrinkled_video import WrinkledVideo
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, NormalMap
+from vntoolkit.tracking.guess_errors import usual_errors
 from vntoolkit.tracking.lattice import LocalJacobians, TemplateLattice, lattice_on_template
 from vntoolkit.tracking.lengths import LinkLengths, share_right
 from vntoolkit.tracking.outline import Outline, outline_of_figure, signed_distance
@@ -278,7 +279,9 @@ def test_a_surface_may_slip_behind_an_occluding_contour_and_hangs_together_elsew
         still = template.positions_px
         around = LocalJacobians(lattice, still).of(still)
         known = np.ones(lattice.count)
-        guess = lengths.guessed(still, around, slopes, flat_depth(mask), 0 * known, known)
+        guess = lengths.guessed(
+            still, around, slopes, flat_depth(mask), 0 * known, known, usual_errors(len(lengths.links))
+        )
         variance, torn = guess.variance, guess.torn
         across = np.abs(lengths.along[:, 0]) > 4
         middle = across & (np.abs(lengths.centres[lengths.links].mean(axis=1)[:, 0] - 56) < 5)
@@ -312,7 +315,15 @@ def test_lengths_hold_where_the_surface_is_seen_and_a_body_moves_it_where_it_is_
     at_part = (lengths.centres[lengths.links][:, :, 0] > 92).all(axis=1) & (np.abs(lengths.along[:, 0]) > 4)
 
     def off(slopes: np.ndarray, hidden: float) -> float:
-        guess = lengths.guessed(pixels, around, slopes, flat_depth(mask), hidden * (1.0 - known), known)
+        guess = lengths.guessed(
+            pixels,
+            around,
+            slopes,
+            flat_depth(mask),
+            hidden * (1.0 - known),
+            known,
+            usual_errors(len(lengths.links)),
+        )
         return float(np.median(np.abs(guess.steps - lengths.along)[at_part, 0]))
 
     assert off(sloping, 0.0) > 0.8 * 8.0 * (1.0 - 1.0 / np.hypot(1.0, 0.6))  # it may have turned
@@ -390,7 +401,15 @@ def test_a_place_that_departs_farther_than_the_whole_sheet_does_is_doubted() -> 
     for moved in (part, all_over):
         around = LocalJacobians(lattice, pixels).of(pixels + moved)
         unseen = np.zeros_like(slopes)  # lengths tell nothing, and the body is guessed from
-        guess = lengths.guessed(pixels + moved, around, unseen, flat_depth(mask), 0 * known, known)
+        guess = lengths.guessed(
+            pixels + moved,
+            around,
+            unseen,
+            flat_depth(mask),
+            0 * known,
+            known,
+            usual_errors(len(lengths.links)),
+        )
         nodes = lengths.nodes(pixels + moved) - lengths.centres
         _, own, _ = lengths._motion.guessed(nodes, known, np.ones(len(links)), np.zeros(len(links)))
         middle = np.all(np.abs(lengths.middles - [56.0, 48.0]) < 6.0, axis=1)
@@ -407,7 +426,13 @@ def test_the_body_is_guessed_less_surely_where_it_moves_beside_the_whole() -> No
     moved = pixels + np.stack([0 * u, waves], axis=1)
     around = LocalJacobians(lattice, pixels).of(moved)
     guess = lengths.guessed(
-        moved, around, np.zeros((*mask.shape, 3), np.float32), flat_depth(mask), 0 * known, known
+        moved,
+        around,
+        np.zeros((*mask.shape, 3), np.float32),
+        flat_depth(mask),
+        0 * known,
+        known,
+        usual_errors(len(lengths.links)),
     )
     drawn = np.linalg.norm(guess.doubt[:, :, 2:], axis=(1, 2)) / np.linalg.norm(lengths.along, axis=1)
     more = drawn / np.linalg.norm(guess.field.errors, axis=(1, 2))

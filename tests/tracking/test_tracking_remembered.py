@@ -10,6 +10,7 @@ from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, NormalMap
 from vntoolkit.tracking import surface_fit
 from vntoolkit.tracking.bands import Band
+from vntoolkit.tracking.guess_errors import usual_errors
 from vntoolkit.tracking.remembered import Finest, Remembered, remembered_template, what_exceeds
 from vntoolkit.tracking.tracker import SurfaceTracker
 
@@ -90,7 +91,7 @@ def finest(information: float, more: float, against: float, offset: tuple[float,
 
 
 def memory() -> Remembered:
-    return remembered_template(finest(1, 0, 0).bands, np.zeros((1, 2)), links=3)
+    return remembered_template(finest(1, 0, 0).bands, np.zeros((1, 2)), usual_errors(3))
 
 
 def test_errors_of_what_is_remembered_grow_slowly_and_fall_where_the_template_tells() -> None:
@@ -125,14 +126,14 @@ def test_where_measurements_pull_is_kept_though_lengths_held_the_surface_back() 
 def test_departures_from_guesses_fade_and_are_kept_where_they_are_told_and_links_are_not_measured() -> None:
     departs = np.array([[2.0, 0.0], [0.0, 4.0], [1.0, 1.0]])
     told, none = np.array([1.0, 0.5, 0.0]), np.zeros(3)
-    remembered = memory().with_departures(departs, told, tested=none)
+    remembered = memory().with_guesses(usual_errors(3), departs, told, tested=none)
     assert 0.0 < remembered.departures[0, 0] < departs[0, 0]
     assert remembered.departures[1, 1] == pytest.approx(remembered.departures[0, 0])
     np.testing.assert_array_equal(remembered.departures[2], 0.0)
-    measured = memory().with_departures(departs, none + 1.0, tested=np.array([0.0, 0.0, 1.0]))
+    measured = memory().with_guesses(usual_errors(3), departs, none + 1.0, tested=np.array([0.0, 0.0, 1.0]))
     assert measured.departures[1, 1] > remembered.departures[1, 1]
     np.testing.assert_array_equal(measured.departures[2], 0.0)
-    followed = remembered.with_departures(remembered.departures, told=none + 1.0, tested=none)
+    followed = remembered.with_guesses(usual_errors(3), remembered.departures, told=none + 1.0, tested=none)
     ratio = followed.departures[:2] / np.where(departs[:2] > 0, departs[:2], 1.0)
     assert ratio.max() < remembered.departures[0, 0] / departs[0, 0]
 

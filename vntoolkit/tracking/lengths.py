@@ -15,7 +15,8 @@ the body, by what either may err.
 
 One variance does not do for all places: by that of a torso that hardly bends, the flank beside a raised arm
 is foretold too surely. So what is guessed beside the whole varies more where the guesses around are large, as
-in a Student-t process (`shah2014`). More is then left to lengths.
+in a Student-t process (`shah2014`). More is then left to lengths. How far either guess errs at a place is
+also learnt from the frames before (`guess_errors`).
 
 Where the two differ, which of them holds is a doubt that all links share. So is whether a place moves beside
 the whole as it seems to, the more, the farther that is beyond what the body departs from the whole elsewhere:
@@ -33,6 +34,7 @@ from vntoolkit.arrays import FloatArray, Points2
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import HALF_WEIGHT_DEG, DepthMap
 from vntoolkit.tracking.body_motion import BodyMotion, FittedField
+from vntoolkit.tracking.guess_errors import Guess, GuessErrors, usual_errors
 from vntoolkit.tracking.lattice import TemplateLattice
 from vntoolkit.tracking.slopes import Slopes, metric_sums, sample_depth
 from vntoolkit.tracking.template import TrackingTemplate
@@ -41,7 +43,6 @@ STRAIN_PASSES = 4  # of lattice smoothing: strain that is not foreseen goes on o
 _CONTOUR_STRAIN = 1.0  # across an occluding contour: how much is hidden there is not known
 _CONTOUR_STEEPNESS = 3.0  # squared slope, 60°, by which a surface recedes, and then no longer: a contour
 STRAIN = 0.07  # standard deviation of stretch, where none is measured: cloth has 0.03 to 0.1, skin up to 0.3
-_BODY_STRAIN = 0.3  # the same, of a surface taken for one body: a face that talks, a cloth that swings
 _PRIOR_LINKS = 0.2  # measured links nearby that the two count for
 _NEAR_PASSES = 8  # of lattice smoothing: how far around a guess's success counts
 _NORMAL_ERROR = 0.05  # radians: shading that departs from the model turns normals by 3°
@@ -62,6 +63,7 @@ class LinkGuess(NamedTuple):
 
     torn: (links,) the share of the variance that an occluding contour between the two adds. doubt: (links, 2,
     k) deviations of all steps together: by which of the guesses holds, and by what is not known of the body.
+    lengths, body: the two that it is made of.
     """
 
     steps: npt.NDArray[np.float64]
@@ -69,6 +71,8 @@ class LinkGuess(NamedTuple):
     torn: npt.NDArray[np.float64]
     doubt: npt.NDArray[np.float64]
     field: FittedField
+    lengths: Guess
+    body: Guess
 
 
 class LinkLengths:
@@ -119,12 +123,14 @@ class LinkLengths:
         depth_map: DepthMap,
         hidden: FloatArray,
         measured: FloatArray,
+        errors: GuessErrors,
         field: FittedField | None = None,
     ) -> LinkGuess:
         """Return the steps from node to node.
 
         around: (nodes, 4) Jacobians of positions (n, 2). hidden: (nodes,) share that is not seen. measured:
-        (nodes,) from 0 to 1, how far a node's place is known. field: of an earlier step in the same frame.
+        (nodes,) from 0 to 1, how far a node's place is known. errors: as learnt before. field: of an earlier
+        step in the same frame.
         """
         a, b = self.links.T
         by_lengths, of_normals, contour = self._by_lengths(positions_px, around, slopes, depth_map)
@@ -138,13 +144,14 @@ class LinkLengths:
         steps = now[b] - now[a]
         square = self._square
         of_lengths = self._near_mean(_strain(steps - by_lengths, square), tested, STRAIN**2)
-        of_lengths += of_normals
+        learnt = self._around(errors)
+        of_lengths = learnt.lengths * (of_lengths + of_normals)
         departs = np.sum(own**2, axis=1) / square
         usual = 2.0 * field.variance
         varies = 1.0 + self._near_mean(departs, np.ones_like(departs), 0.0) / usual
-        errors = np.sqrt(varies)[:, None, None] * field.errors
-        of_body = self._near_mean(_strain(steps - by_body, square), tested, _BODY_STRAIN**2)
-        of_body += np.square(errors).sum(axis=(1, 2))
+        of_field = np.sqrt(varies)[:, None, None] * field.errors
+        of_body = self._near_mean(_strain(steps - by_body, square), tested, learnt.body)
+        of_body += np.square(of_field).sum(axis=(1, 2))
         apart = np.sum((by_lengths - by_body) ** 2, axis=1) / square
         right = share_right((1.0 - _MISTAKEN) * in_sight, apart, of_lengths + of_body)
         share = right * of_body / (of_lengths + of_body)
@@ -154,7 +161,7 @@ class LinkLengths:
             np.sqrt(share * (1.0 - share))[:, None] * (by_lengths - by_body),
             (_SINGLE * (1.0 - share) * np.sqrt(unlikely))[:, None] * own,
         ]
-        drawn = ((1.0 - share) * np.sqrt(square))[:, None, None] * errors
+        drawn = ((1.0 - share) * np.sqrt(square))[:, None, None] * of_field
         variance = square * np.minimum(of_lengths + 1.0 - in_sight, of_body)
         slip = square * (_CONTOUR_STRAIN * likely) ** 2
         return LinkGuess(
@@ -163,7 +170,27 @@ class LinkLengths:
             torn=slip / (variance + slip),
             doubt=np.concatenate([np.stack(other, axis=2), drawn], axis=2),
             field=field,
+            lengths=Guess(steps=by_lengths, strain=of_lengths, right=right),
+            body=Guess(steps=by_body, strain=of_body, right=np.ones_like(right)),
         )
+
+    def learnt(
+        self, errors: GuessErrors, guess: LinkGuess, positions_px: Points2, told: FloatArray
+    ) -> GuessErrors:
+        """Return what is known of the guesses' errors after a frame, fitted at positions (n, 2).
+
+        guess: of the last step. told: (links,) from 0 to 1, how far links are known better than by it.
+        """
+        steps, square = self.steps(positions_px), self._square
+        by_body, by_lengths = (_strain(steps - each.steps, square) for each in (guess.body, guess.lengths))
+        left = (1.0 - told) * (1.0 - guess.torn) * guess.variance / square
+        return errors.learnt(self._around(errors), (guess.body, guess.lengths), (by_body, by_lengths), left)
+
+    def _around(self, errors: GuessErrors) -> GuessErrors:
+        """As far as guesses of the links around each err in the mean, or its own: a rift is a line of few."""
+        ones, usual = np.ones(len(self.links)), usual_errors(len(self.links))
+        means = (self._near_mean(own, ones, prior) for own, prior in zip(errors, usual, strict=True))
+        return GuessErrors(*(np.maximum(*each) for each in zip(errors, means, strict=True)))
 
     def _by_lengths(
         self, positions_px: Points2, around: FloatArray, slopes: Slopes, depth_map: DepthMap
@@ -218,7 +245,9 @@ class LinkLengths:
         )
         return means.reshape(-1, 2, 2), sums[:, 3:5], sums[:, 5]
 
-    def _near_mean(self, value: FloatArray, weight: FloatArray, prior: float) -> npt.NDArray[np.float64]:
+    def _near_mean(
+        self, value: FloatArray, weight: FloatArray, prior: FloatArray | float
+    ) -> npt.NDArray[np.float64]:
         """(links,) weighted mean of a value of the links around each, beside the prior's few."""
         count = self._lattice.count
         sums = np.zeros((count, 2))
@@ -226,8 +255,10 @@ class LinkLengths:
             sums[:, 0] += np.bincount(end, weight * value, minlength=count)
             sums[:, 1] += np.bincount(end, weight, minlength=count)
         sums = self._lattice.smoothed(sums, _NEAR_PASSES) / 3.0**_NEAR_PASSES
-        mean = (sums[:, 0] + _PRIOR_LINKS * prior) / (sums[:, 1] + _PRIOR_LINKS)
-        return np.asarray(0.5 * (mean[self.links[:, 0]] + mean[self.links[:, 1]]))
+        means = [
+            (sums[end, 0] + _PRIOR_LINKS * prior) / (sums[end, 1] + _PRIOR_LINKS) for end in self.links.T
+        ]
+        return np.asarray(0.5 * (means[0] + means[1]))
 
 
 def share_right(before: FloatArray, apart: FloatArray, variance: FloatArray) -> npt.NDArray[np.float64]:

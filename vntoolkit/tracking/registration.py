@@ -31,6 +31,7 @@ import numpy.typing as npt
 from vntoolkit.arrays import FloatArray, Mask, Points2
 from vntoolkit.native import njit
 from vntoolkit.tracking.bands import RIM_PX, Band, TemplateRaster
+from vntoolkit.tracking.guess_errors import GuessErrors
 from vntoolkit.tracking.lattice import NODES_BY_PASS, TemplateLattice
 from vntoolkit.tracking.paint import PaintImage
 from vntoolkit.tracking.remembered import Finest, Remembered, remembered_template, what_exceeds
@@ -235,11 +236,10 @@ class TemplateRegistration:
             correlated_px=correlated_px,
         )
 
-    def remembered(self) -> Remembered:
-        """Return what is remembered before any frame was seen."""
+    def remembered(self, errors: GuessErrors) -> Remembered:
+        """Return what is remembered before any frame was seen; errors: of guesses of the lattice's links."""
         paint = self._paint_bands[:1]
-        links = len(self._lattice.neighbours) // 2
-        return remembered_template((self._bands[0], *paint), self._nodes(self._pixels), links)
+        return remembered_template((self._bands[0], *paint), self._nodes(self._pixels), errors)
 
     def mixed_in(self, remembered: Remembered, measurement: Measurement, positions_px: Points2) -> Remembered:
         """Return what is remembered after a frame that was measured at positions (n, 2)."""

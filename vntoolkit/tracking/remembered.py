@@ -31,6 +31,7 @@ import numpy.typing as npt
 from vntoolkit.arrays import FloatArray, Points2
 from vntoolkit.native import njit
 from vntoolkit.tracking.bands import Band
+from vntoolkit.tracking.guess_errors import GuessErrors
 from vntoolkit.tracking.slopes import gradients
 
 _RATE = 0.1  # of a frame in the mean: noise of ten averages out, light changes over more
@@ -63,7 +64,8 @@ class Remembered:
     features: (h, w, 2) of relief, or (h, w, 3) of relief and paint, on the template's raster. weights:
     (h, w, 1) or (h, w, 2) theirs. variance: (nodes, 2, 2) P in px² of the template. offset: (nodes, 2).
     nodes_px: (nodes, 2) where the nodes were when last seen. departures: (links, 2) pixels of the frame, by
-    which links are expected to be off their guesses.
+    which links are expected to be off their guesses. body_errors, length_errors: (links,) of those guesses,
+    as in `GuessErrors`.
     """
 
     features: npt.NDArray[np.float32]
@@ -72,6 +74,13 @@ class Remembered:
     offset: npt.NDArray[np.float64]
     nodes_px: npt.NDArray[np.float64]
     departures: npt.NDArray[np.float64]
+    body_errors: npt.NDArray[np.float64]
+    length_errors: npt.NDArray[np.float64]
+
+    @property
+    def guess_errors(self) -> GuessErrors:
+        """How far guesses of links err."""
+        return GuessErrors(body=self.body_errors, lengths=self.length_errors)
 
     def beyond(
         self, fine: FloatArray, against: FloatArray, pull: FloatArray
@@ -110,12 +119,19 @@ class Remembered:
             nodes_px=np.asarray(nodes_px),
         )
 
-    def with_departures(self, departures: FloatArray, told: FloatArray, tested: FloatArray) -> Remembered:
-        """Expect links to depart from guesses as now, (links, 2).
+    def with_guesses(
+        self, errors: GuessErrors, departures: FloatArray, told: FloatArray, tested: FloatArray
+    ) -> Remembered:
+        """Expect guesses of links to err by so much, and links to depart from them as now, (links, 2).
 
         told: (links,) from 0 to 1, how far that is known. tested: (links,) how far links are measured.
         """
-        return replace(self, departures=_PERSISTS * (told * (1.0 - tested))[:, None] * departures)
+        return replace(
+            self,
+            departures=_PERSISTS * (told * (1.0 - tested))[:, None] * departures,
+            body_errors=errors.body,
+            length_errors=errors.lengths,
+        )
 
     def bands(self, node: npt.NDArray[np.int32]) -> tuple[Band, ...]:
         """Return the same as bands to compare with; node: (h, w) of the raster."""
@@ -147,10 +163,10 @@ def what_exceeds(
     return more, np.einsum("nij,nj->ni", _full(more), found / other_size[:, None])
 
 
-def remembered_template(bands: tuple[Band, ...], nodes_px: Points2, links: int) -> Remembered:
+def remembered_template(bands: tuple[Band, ...], nodes_px: Points2, errors: GuessErrors) -> Remembered:
     """Return the memory of the template frame alone, in which everything is in its place.
 
-    links: of the lattice, how many.
+    errors: of guesses of the lattice's links, before any frame.
     """
     count = len(nodes_px)
     return Remembered(
@@ -159,7 +175,9 @@ def remembered_template(bands: tuple[Band, ...], nodes_px: Points2, links: int) 
         variance=np.zeros((count, 2, 2)),
         offset=np.zeros((count, 2)),
         nodes_px=np.asarray(nodes_px),
-        departures=np.zeros((links, 2)),
+        departures=np.zeros((len(errors.body), 2)),
+        body_errors=errors.body,
+        length_errors=errors.lengths,
     )
 
 

@@ -22,6 +22,7 @@ from vntoolkit.native import njit
 from vntoolkit.tracking.body_motion import LINKS_ALIKE, FittedField
 from vntoolkit.tracking.fit_errors import FitErrors
 from vntoolkit.tracking.flow import common_shift, dense_flow
+from vntoolkit.tracking.guess_errors import usual_errors
 from vntoolkit.tracking.lattice import LocalJacobians, lattice_on_template
 from vntoolkit.tracking.lattice_system import LatticeSystem
 from vntoolkit.tracking.lengths import STRAIN, TURN, LinkLengths, slow_turns, uniform_strains
@@ -116,13 +117,14 @@ class SurfaceFit:
         self._lengths = LinkLengths(lattice, within, camera, slopes)
         self._jacobians = LocalJacobians(lattice, template.positions_px)
         self._system = LatticeSystem(self._lengths.links, lattice.count)
-        self.remembered = self._registration.remembered()
+        self.remember(None)
         self._errors = FitErrors(lattice, self._registration, self._lengths)
         self._template_depth = template.vertices_in_camera[:, 2]
 
     def remember(self, remembered: Remembered | None) -> None:
         """Go on with what was remembered after an earlier frame; None for the template alone."""
-        self.remembered = self._registration.remembered() if remembered is None else remembered
+        new = self._registration.remembered(usual_errors(len(self._lengths.links)))
+        self.remembered = new if remembered is None else remembered
 
     def fit(
         self,
@@ -166,7 +168,7 @@ class SurfaceFit:
         if lost.any() and not lost.all():
             positions, measurement = self._found_again(positions, around, measurement, lost, seen)
         around = self._jacobians.of(positions)
-        expected = self.remembered.departures
+        expected, errs = self.remembered.departures, self.remembered.guess_errors
         enough = _CONVERGED * np.maximum(expected_px, _LEAST_ERROR_PX)
         field: FittedField | None = None
         for number in range(_ITERATIONS):
@@ -179,7 +181,7 @@ class SurfaceFit:
             pull = np.einsum("nji,nj->ni", inverse, measurement.pull)
             outline, outline_pull = self._outline.measure(positions, inverse, figure)
             measured = np.minimum(1.0, information[:, 0] + information[:, 2])
-            guess = lengths.guessed(positions, around, slopes, depth_map, hidden, measured, field)
+            guess = lengths.guessed(positions, around, slopes, depth_map, hidden, measured, errs, field)
             field = guess.field
             steps = guess.steps + expected - lengths.steps(positions)
             alone = guess.torn + (1.0 - guess.torn) / LINKS_ALIKE
@@ -203,9 +205,9 @@ class SurfaceFit:
         square, told = self._errors.expected(
             solution, windows, outline, np.sqrt(variance), departures, guess.doubt
         )
-        self.remembered = self._registration.mixed_in(
-            self.remembered, measurement, measured_at
-        ).with_departures(departures, told, tested)
+        self.remembered = self._registration.mixed_in(self.remembered, measurement, measured_at).with_guesses(
+            lengths.learnt(errs, guess, positions, told), departures, told, tested
+        )
         square += self._of_the_whole(information + outline)
         # What is only guessed, and looks otherwise there, is within half a wave: nine in ten, no spread.
         square += (1.0 - measured) * (by_memory.slide_px / _COVERAGE) ** 2
