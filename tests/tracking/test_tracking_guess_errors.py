@@ -74,4 +74,4 @@ def test_a_body_that_holds_is_soon_taken_for_one_and_a_rift_in_it_stays_loose() 
     far = np.abs(lengths.middles[:, 0] - 64) > 40
     sd, before = (np.sqrt(each.body.strain) for each in (unseen, first))
     assert np.median(sd[far]) < 0.5 * np.median(before[far])
-    assert np.median(sd[across]) > 0.3
+    assert np.median(sd[across]) > 0.7 * np.median(before[across])
