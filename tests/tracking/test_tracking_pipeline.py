@@ -120,6 +120,13 @@ def test_other_options_are_not_mixed_in(folder: Path) -> None:
     assert track(other, overwrite=True).resumed == 0
 
 
+def test_a_depth_map_that_is_not_of_its_normals_is_refused_by_name(folder: Path) -> None:
+    _, small = WrinkledVideo(width=48, height=36, sway_px=1.0).maps(4)
+    write_depth_map(folder / "depth/000004.exr", small)
+    with pytest.raises(BadInput, match=r"000004.exr: 48×36 pixels, but the frame's normals have 96×72"):
+        track(job(folder))
+
+
 def test_tracks_of_another_reconstruction_are_not_mixed_in(folder: Path) -> None:
     track(job(folder))
     manifest = read_manifest(folder)

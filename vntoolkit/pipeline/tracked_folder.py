@@ -55,8 +55,16 @@ class TrackSource:
         return self.folder.has(number, "normals", "depth")
 
     def maps(self, number: int) -> tuple[NormalMap, DepthMap]:
-        """Read one frame."""
-        return self.normals(number), read_depth_map(self.folder.file("depth", number))
+        """Read one frame. Raises `BadInput` where its depth is not of its normals."""
+        path, normals = self.folder.file("depth", number), self.normals(number)
+        depth = read_depth_map(path)
+        (height, width), (own_height, own_width) = normals.mask.shape, depth.mask.shape
+        if (height, width) != (own_height, own_width):
+            raise BadInput(
+                f"{path}: {own_width}×{own_height} pixels, but the frame's normals have {width}×{height}; "
+                "remove both and run `vntoolkit reconstruct` again: it makes what is missing"
+            )
+        return normals, depth
 
     def labels(self, number: int) -> VisibilityLabels | None:
         """Read which lights reach the pixels of one frame; None where `reconstruct` looked for no shadows."""
