@@ -8,9 +8,9 @@ from vntoolkit.errors import BadInput
 
 
 def _in_one_line(kind: type[BaseException], problem: BaseException, trace: TracebackType | None) -> None:
-    """Say what was wrong with the input, as the command line does; all else keeps its traceback."""
+    """Say what was wrong with the input, as the command line does. All else keeps its traceback."""
     if issubclass(kind, BadInput):
-        print(f"error: {problem}", file=sys.stderr)
+        print(f"benchmarks: {problem}", file=sys.stderr)
     else:
         sys.__excepthook__(kind, problem, trace)
 

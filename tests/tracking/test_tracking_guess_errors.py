@@ -20,9 +20,9 @@ def learnt(errs: float, noise: float, frames: int, seed: int = 0) -> GuessErrors
         strain = np.full(LINKS, errors.body.mean())
         error, other = np.sqrt([errs, noise])[:, None] * rng.standard_normal((2, LINKS))
         departs = strain / (strain + noise) * (other - error)  # of the solution from the guess
-        guess = Guess(steps=np.zeros((LINKS, 2)), strain=strain, right=ones)
+        guess = Guess(steps=np.zeros((LINKS, 2)), strain=strain, unit=ones, right=ones)
         left = strain * noise / (strain + noise)
-        errors = errors.learnt(errors, (guess, guess), (departs**2, departs**2), left)
+        errors = errors.learnt((guess, guess), (departs**2, departs**2), left)
     return errors
 
 
@@ -44,15 +44,16 @@ def test_a_guess_that_is_not_right_teaches_nothing_and_lengths_are_never_far_fro
     None
 ):
     before, none = usual_errors(2), np.zeros(2)
-    lengths = Guess(steps=np.zeros((2, 2)), strain=np.full(2, 0.01), right=np.array([0.0, 1.0]))
-    body = Guess(steps=np.zeros((2, 2)), strain=before.body, right=np.ones(2))
+    strain, ones = np.full(2, 0.01), np.ones(2)
+    lengths = Guess(steps=np.zeros((2, 2)), strain=strain, unit=strain, right=np.array([0.0, 1.0]))
+    body = Guess(steps=np.zeros((2, 2)), strain=before.body, unit=ones, right=ones)
     errors = before
     for _ in range(100):
-        errors = errors.learnt(before, (body, lengths), (none + 1.0, none + 1.0), none)
+        errors = errors.learnt((body, lengths), (ones, ones), none)
     assert errors.lengths[0] == 1.0
     assert 2.0 < errors.lengths[1] < 20.0
     for _ in range(100):
-        errors = errors.learnt(errors, (body, lengths), (none, none), none)
+        errors = errors.learnt((body, lengths), (none, none), none)
     assert 0.05 < errors.lengths[1] < 0.5
 
 
@@ -64,9 +65,13 @@ def test_a_body_that_holds_is_soon_taken_for_one_and_a_rift_in_it_stays_loose() 
     around, known = LocalJacobians(lattice, pixels).of(moved), np.ones(lattice.count)
     errors = usual_errors(len(lengths.links))
     for _ in range(60):
-        guess = lengths.guessed(moved, around, sheet, flat_depth(mask), 0 * known, known, errors)
+        guess = lengths.guessed(
+            moved, around, sheet, flat_depth(mask), 0 * known, known, lengths.around(errors)
+        )
         errors = lengths.learnt(errors, guess, moved, np.ones(len(lengths.links)))
-    unseen = lengths.guessed(moved, around, sheet, flat_depth(mask), 0 * known, 0 * known, errors)
+    unseen = lengths.guessed(
+        moved, around, sheet, flat_depth(mask), 0 * known, 0 * known, lengths.around(errors)
+    )
     first = lengths.guessed(
         moved, around, sheet, flat_depth(mask), 0 * known, 0 * known, usual_errors(len(lengths.links))
     )

@@ -22,10 +22,15 @@ _FARTHEST = 4.0  # times the variance that lengths are given, and as small a par
 
 
 class Guess(NamedTuple):
-    """steps: (links, 2) pixels. strain: (links,) squared, expected. right: (links,) how likely it holds."""
+    """One guess of all links.
+
+    steps: (links, 2) pixels. strain: (links,) squared, expected. unit: (links,) squared strain, in which what
+    is learnt of it counts. right: (links,) from 0 to 1, how likely it holds.
+    """
 
     steps: npt.NDArray[np.float64]
     strain: npt.NDArray[np.float64]
+    unit: npt.NDArray[np.float64]
     right: npt.NDArray[np.float64]
 
 
@@ -36,24 +41,15 @@ class GuessErrors(NamedTuple):
     lengths: npt.NDArray[np.float64]
 
     def learnt(
-        self,
-        around: GuessErrors,
-        guesses: tuple[Guess, Guess],
-        found: tuple[FloatArray, FloatArray],
-        left: FloatArray,
+        self, guesses: tuple[Guess, Guess], found: tuple[FloatArray, FloatArray], left: FloatArray
     ) -> GuessErrors:
         """Return what is known after a frame.
 
-        around: what the guesses used of this, with the links around each. guesses: by the body and by
-        lengths. found: (links,) squared strains by which the solution departs from them. left: (links,) that
-        to expect of the solution itself.
+        guesses: by the body and by lengths. found: (links,) squared strains by which the solution departs
+        from them. left: (links,) squared strain to expect of the solution itself.
         """
-        (body, lengths), (by_body, by_lengths) = guesses, found
-        factor = _changed(self.lengths, lengths, by_lengths, left, lengths.strain / around.lengths)
-        return GuessErrors(
-            body=_changed(self.body, body, by_body, left, np.ones_like(left)),
-            lengths=np.clip(factor, 1.0 / _FARTHEST, _FARTHEST),
-        )
+        body, lengths = (_changed(*each, left) for each in zip(self, guesses, found, strict=True))
+        return GuessErrors(body=body, lengths=np.clip(lengths, 1.0 / _FARTHEST, _FARTHEST))
 
 
 def usual_errors(links: int) -> GuessErrors:
@@ -62,8 +58,8 @@ def usual_errors(links: int) -> GuessErrors:
 
 
 def _changed(
-    before: FloatArray, guess: Guess, found: FloatArray, left: FloatArray, unit: FloatArray
+    before: FloatArray, guess: Guess, found: FloatArray, left: FloatArray
 ) -> npt.NDArray[np.float64]:
-    """(links,) what was known before, in units (links,) of squared strain, and what is found besides."""
+    """(links,) what was known before of a guess's errors, and what is found besides."""
     shown = np.clip(1.0 - left / guess.strain, 0.0, 1.0)
-    return np.asarray(before + _LEARNS * guess.right * (found / unit - shown * before))
+    return np.asarray(before + _LEARNS * guess.right * (found / guess.unit - shown * before))

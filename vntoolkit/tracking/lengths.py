@@ -129,8 +129,8 @@ class LinkLengths:
         """Return the steps from node to node.
 
         around: (nodes, 4) Jacobians of positions (n, 2). hidden: (nodes,) share that is not seen. measured:
-        (nodes,) from 0 to 1, how far a node's place is known. errors: as learnt before. field: of an earlier
-        step in the same frame.
+        (nodes,) from 0 to 1, how far a node's place is known. errors: of guesses around each link, as
+        `around` returns them. field: of an earlier step in the same frame.
         """
         a, b = self.links.T
         by_lengths, of_normals, contour = self._by_lengths(positions_px, around, slopes, depth_map)
@@ -144,13 +144,13 @@ class LinkLengths:
         steps = now[b] - now[a]
         square = self._square
         of_lengths = self._near_mean(_strain(steps - by_lengths, square), tested, STRAIN**2)
-        learnt = self._around(errors)
-        of_lengths = learnt.lengths * (of_lengths + of_normals)
+        given = of_lengths + of_normals
+        of_lengths = errors.lengths * given
         departs = np.sum(own**2, axis=1) / square
         usual = 2.0 * field.variance
         varies = 1.0 + self._near_mean(departs, np.ones_like(departs), 0.0) / usual
         of_field = np.sqrt(varies)[:, None, None] * field.errors
-        of_body = self._near_mean(_strain(steps - by_body, square), tested, learnt.body)
+        of_body = self._near_mean(_strain(steps - by_body, square), tested, errors.body)
         of_body += np.square(of_field).sum(axis=(1, 2))
         apart = np.sum((by_lengths - by_body) ** 2, axis=1) / square
         right = share_right((1.0 - _MISTAKEN) * in_sight, apart, of_lengths + of_body)
@@ -163,15 +163,15 @@ class LinkLengths:
         ]
         drawn = ((1.0 - share) * np.sqrt(square))[:, None, None] * of_field
         variance = square * np.minimum(of_lengths + 1.0 - in_sight, of_body)
-        slip = square * (_CONTOUR_STRAIN * likely) ** 2
+        slip, ones = square * (_CONTOUR_STRAIN * likely) ** 2, np.ones_like(square)
         return LinkGuess(
             steps=mean,
             variance=variance + slip,
             torn=slip / (variance + slip),
             doubt=np.concatenate([np.stack(other, axis=2), drawn], axis=2),
             field=field,
-            lengths=Guess(steps=by_lengths, strain=of_lengths, right=right),
-            body=Guess(steps=by_body, strain=of_body, right=np.ones_like(right)),
+            lengths=Guess(steps=by_lengths, strain=of_lengths, unit=given, right=right),
+            body=Guess(steps=by_body, strain=of_body, unit=ones, right=ones),
         )
 
     def learnt(
@@ -184,10 +184,10 @@ class LinkLengths:
         steps, square = self.steps(positions_px), self._square
         by_body, by_lengths = (_strain(steps - each.steps, square) for each in (guess.body, guess.lengths))
         left = (1.0 - told) * (1.0 - guess.torn) * guess.variance / square
-        return errors.learnt(self._around(errors), (guess.body, guess.lengths), (by_body, by_lengths), left)
+        return errors.learnt((guess.body, guess.lengths), (by_body, by_lengths), left)
 
-    def _around(self, errors: GuessErrors) -> GuessErrors:
-        """As far as guesses of the links around each err in the mean, or its own: a rift is a line of few."""
+    def around(self, errors: GuessErrors) -> GuessErrors:
+        """Return how far guesses around each link err in the mean, or its own if more: rifts are thin."""
         ones, usual = np.ones(len(self.links)), usual_errors(len(self.links))
         means = (self._near_mean(own, ones, prior) for own, prior in zip(errors, usual, strict=True))
         return GuessErrors(*(np.maximum(*each) for each in zip(errors, means, strict=True)))

@@ -123,8 +123,9 @@ class SurfaceFit:
 
     def remember(self, remembered: Remembered | None) -> None:
         """Go on with what was remembered after an earlier frame; None for the template alone."""
-        new = self._registration.remembered(usual_errors(len(self._lengths.links)))
-        self.remembered = new if remembered is None else remembered
+        if remembered is None:
+            remembered = self._registration.remembered(usual_errors(len(self._lengths.links)))
+        self.remembered = remembered
 
     def fit(
         self,
@@ -168,7 +169,8 @@ class SurfaceFit:
         if lost.any() and not lost.all():
             positions, measurement = self._found_again(positions, around, measurement, lost, seen)
         around = self._jacobians.of(positions)
-        expected, errs = self.remembered.departures, self.remembered.guess_errors
+        expected, errors = self.remembered.departures, self.remembered.guess_errors
+        errors_around = lengths.around(errors)
         enough = _CONVERGED * np.maximum(expected_px, _LEAST_ERROR_PX)
         field: FittedField | None = None
         for number in range(_ITERATIONS):
@@ -181,7 +183,9 @@ class SurfaceFit:
             pull = np.einsum("nji,nj->ni", inverse, measurement.pull)
             outline, outline_pull = self._outline.measure(positions, inverse, figure)
             measured = np.minimum(1.0, information[:, 0] + information[:, 2])
-            guess = lengths.guessed(positions, around, slopes, depth_map, hidden, measured, errs, field)
+            guess = lengths.guessed(
+                positions, around, slopes, depth_map, hidden, measured, errors_around, field
+            )
             field = guess.field
             steps = guess.steps + expected - lengths.steps(positions)
             alone = guess.torn + (1.0 - guess.torn) / LINKS_ALIKE
@@ -206,7 +210,7 @@ class SurfaceFit:
             solution, windows, outline, np.sqrt(variance), departures, guess.doubt
         )
         self.remembered = self._registration.mixed_in(self.remembered, measurement, measured_at).with_guesses(
-            lengths.learnt(errs, guess, positions, told), departures, told, tested
+            lengths.learnt(errors, guess, positions, told), departures, told, tested
         )
         square += self._of_the_whole(information + outline)
         # What is only guessed, and looks otherwise there, is within half a wave: nine in ten, no spread.
