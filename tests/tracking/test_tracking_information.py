@@ -343,10 +343,12 @@ def test_lengths_err_by_a_share_of_what_is_left_of_them_in_the_image() -> None:
         lengths = LinkLengths(lattice, template, CAMERA, slopes_from_normals(first, CAMERA))
         still = template.positions_px
         around = LocalJacobians(lattice, still).of(still)
-        steps, strain, _ = lengths._by_lengths(
+        steps, strain, _, away_px = lengths._by_lengths(
             still, around, slopes_from_normals(second, CAMERA), flat_depth(mask)
         )
         across = np.abs(lengths.along[:, 0]) > 4
+        slope = 1.5 if second is oblique else 0.0
+        np.testing.assert_allclose(away_px, slope * lengths.along[:, 0], atol=0.1)
         errs.append(np.median((np.sqrt(strain) * np.hypot(*lengths.along.T) / np.hypot(*steps.T))[across]))
     assert errs[0] == pytest.approx(errs[1], rel=0.01)
 

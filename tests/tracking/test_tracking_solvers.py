@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from scipy.spatial.transform import Rotation
 
 from tests.tracking.wrinkled_video import WrinkledVideo
 from vntoolkit.errors import BadInput, BadMesh
@@ -16,7 +17,7 @@ from vntoolkit.geometry.mesh import (
 from vntoolkit.tracking.fit_errors import FitErrors
 from vntoolkit.tracking.lattice import TemplateLattice, lattice_on_template
 from vntoolkit.tracking.lattice_system import LatticeSystem
-from vntoolkit.tracking.lengths import LinkLengths, slow_turns, uniform_strains
+from vntoolkit.tracking.lengths import LinkLengths, slow_turns, tilts, uniform_strains
 from vntoolkit.tracking.registration import TemplateRegistration
 from vntoolkit.tracking.regularisers import (
     LaplacianRegulariser,
@@ -100,7 +101,9 @@ def errors_problem(template) -> tuple[TemplateLattice, LinkLengths, FitErrors]:
     lattice = lattice_on_template(template, 3)
     lengths = LinkLengths(lattice, template, video.camera, slopes)
     errors = FitErrors(
-        lattice, TemplateRegistration(template, lattice, relief_slopes(slopes, video.maps(0)[0])), lengths
+        lattice,
+        TemplateRegistration(template, lattice, relief_slopes(slopes, video.maps(0)[0])),
+        lengths,
     )
     return lattice, lengths, errors
 
@@ -224,6 +227,29 @@ def test_slow_turns_turn_steps_as_far_as_a_polynomial_of_their_place(rng: np.ran
     modes = slow_turns(steps, middles)
     found = np.linalg.lstsq(modes.reshape(100, -1), (turned - steps).ravel(), rcond=None)[0]
     np.testing.assert_allclose(steps + modes @ found, turned, atol=1e-4)
+
+
+def test_tilts_turn_steps_as_far_as_their_ends_lie_apart_in_depth(rng: np.random.Generator) -> None:
+    apart = rng.normal(size=(50, 3))
+    about_u, about_v = 2e-4, -3e-4
+    turned = apart @ Rotation.from_rotvec([about_u, about_v, 0.0]).as_matrix().T
+    found = apart[:, :2] + tilts(apart[:, 2]) @ [about_v, -about_u]
+    np.testing.assert_allclose(found, turned[:, :2], atol=1e-6)
+
+
+def test_what_one_half_of_a_roof_shows_of_a_tilt_moves_the_other(template) -> None:
+    lattice, lengths, _ = errors_problem(template)
+    middle = lengths.centres[:, 0].mean()
+    depth = np.abs(lengths.centres[:, 0] - middle) + 0.3 * lengths.centres[:, 1]
+    moved = np.column_stack([0.05 * depth, -0.02 * depth])
+    seen = lengths.centres[:, 0] < middle
+    known = 100.0 * seen
+    a, b = lengths.links.T
+    solution = LatticeSystem(lengths.links, lattice.count).solve(
+        np.column_stack([known, 0 * known, known]), known[:, None] * moved, np.ones(len(a)),
+        np.zeros((len(a), 2)), tilts(depth[b] - depth[a]), 1e-3,
+    )  # fmt: skip
+    np.testing.assert_allclose(solution.displacement, moved, atol=0.05 * np.abs(moved).max())
 
 
 def test_half_of_a_wave_passes_at_the_stated_wavelength() -> None:

@@ -49,7 +49,7 @@ _NORMAL_ERROR = 0.05  # radians: shading that departs from the model turns norma
 _INDEPENDENT = 20.0  # errors by weight in a cell: alike over some pixels, they average out over the rest
 _MISTAKEN = 0.05  # share of lengths that are another surface's where nothing is known to be hidden
 _SLOW_DEGREE = 2  # of the polynomials in place that vary slowly
-TURN = 0.1  # standard deviation of a slow turn in one step of the fit, radians
+TURN = 0.1  # standard deviation of a turn in one step of the fit, radians
 _TURN_PASSES = 2  # of lattice smoothing: the turn in the image is that of the surroundings
 _LEAST_WEIGHT = 1e-3  # mean of the slopes' in a cell that is divided by
 # Nine in ten errors in the plane are within √(ln 10) = 1.5 of a root mean square that is known, and within 3
@@ -63,7 +63,8 @@ class LinkGuess(NamedTuple):
 
     torn: (links,) the share of the variance that an occluding contour between the two adds. doubt: (links, 2,
     k) deviations of all steps together: by which of the guesses holds, and by what is not known of the body.
-    lengths, body: the two that it is made of.
+    away_px: (links,) by how much farther from the camera the surface is at the second node. lengths, body:
+    the two that it is made of.
     """
 
     steps: npt.NDArray[np.float64]
@@ -71,6 +72,7 @@ class LinkGuess(NamedTuple):
     torn: npt.NDArray[np.float64]
     doubt: npt.NDArray[np.float64]
     field: FittedField
+    away_px: npt.NDArray[np.float64]
     lengths: Guess
     body: Guess
 
@@ -133,7 +135,7 @@ class LinkLengths:
         `around` returns them. field: of an earlier step in the same frame.
         """
         a, b = self.links.T
-        by_lengths, of_normals, contour = self._by_lengths(positions_px, around, slopes, depth_map)
+        by_lengths, of_normals, contour, away_px = self._by_lengths(positions_px, around, slopes, depth_map)
         in_sight = 1.0 - np.maximum(hidden[a], hidden[b])
         now = self.nodes(positions_px)
         reliable = (1.0 - hidden) * measured + _LEAST_RELIABLE
@@ -170,6 +172,7 @@ class LinkLengths:
             torn=slip / (variance + slip),
             doubt=np.concatenate([np.stack(other, axis=2), drawn], axis=2),
             field=field,
+            away_px=away_px,
             lengths=Guess(steps=by_lengths, strain=of_lengths, unit=given, right=right),
             body=Guess(steps=by_body, strain=of_body, unit=ones, right=ones),
         )
@@ -195,7 +198,7 @@ class LinkLengths:
     def _by_lengths(
         self, positions_px: Points2, around: FloatArray, slopes: Slopes, depth_map: DepthMap
     ) -> tuple[npt.NDArray[np.float64], ...]:
-        """(links, 2) steps, (links,) squared strain by errors of the normals, (links,) `_at_contours`."""
+        """(links, 2) steps, squared strain by errors of the normals, `_at_contours`, and away_px (links,)."""
         scale = np.ones(len(positions_px))
         if self._camera.is_perspective:
             depth, found = sample_depth(depth_map.depth, depth_map.mask, positions_px)
@@ -214,7 +217,9 @@ class LinkLengths:
         # By its own length: a link that is foreshortened to a third errs by a third as many pixels.
         errs = turned * (_steepness(metric) + self._steepness + turned)
         strain = np.maximum(errs[a], errs[b]) * np.sum(steps**2, axis=1) / self._square
-        return steps, strain, self._at_contours(metric, recedes, now)
+        slope = recedes / np.maximum(seen, 1e-6)[:, None]
+        away_px = 0.5 * np.sum((slope[a] + slope[b]) * now, axis=1)
+        return steps, strain, self._at_contours(metric, recedes, now), away_px
 
     def _at_contours(
         self, metric: FloatArray, recedes: FloatArray, steps: FloatArray
@@ -289,6 +294,16 @@ def slow_turns(steps: FloatArray, centres: FloatArray) -> npt.NDArray[np.float64
         return np.zeros((0, 2, 0))
     across = np.stack([-steps[:, 1], steps[:, 0]], axis=1)
     return across[:, :, None] * slow_monomials(centres)[:, None, :]
+
+
+def tilts(away_px: FloatArray) -> npt.NDArray[np.float64]:
+    """Return (links, 2, 2): what turns of the whole by 1 radian about v and about u add to steps.
+
+    away_px: (links,) by how much the second end of each lies farther. Guesses follow a tilt as slowly as a
+    turn in the image: they read the surface where it was before.
+    """
+    none = np.zeros_like(away_px)
+    return np.stack([np.stack(mode, axis=1) for mode in ((away_px, none), (none, away_px))], axis=2)
 
 
 def slow_monomials(places: FloatArray) -> npt.NDArray[np.float64]:
