@@ -17,7 +17,7 @@ from vntoolkit.geometry.mesh import (
 from vntoolkit.tracking.fit_errors import FitErrors
 from vntoolkit.tracking.lattice import TemplateLattice, lattice_on_template
 from vntoolkit.tracking.lattice_system import LatticeSystem
-from vntoolkit.tracking.lengths import LinkLengths, slow_turns, tilts, uniform_strains
+from vntoolkit.tracking.lengths import LinkLengths, modes_of_the_whole, slow_turns, tilts, uniform_strains
 from vntoolkit.tracking.registration import TemplateRegistration
 from vntoolkit.tracking.regularisers import (
     LaplacianRegulariser,
@@ -235,6 +235,16 @@ def test_tilts_turn_steps_as_far_as_their_ends_lie_apart_in_depth(rng: np.random
     turned = apart @ Rotation.from_rotvec([about_u, about_v, 0.0]).as_matrix().T
     found = apart[:, :2] + tilts(apart[:, 2]) @ [about_v, -about_u]
     np.testing.assert_allclose(found, turned[:, :2], atol=1e-6)
+
+
+def test_the_whole_may_stretch_and_turn_about_any_axis_beside_its_guesses(rng: np.random.Generator) -> None:
+    apart, middles = rng.normal(size=(50, 3)), rng.uniform(0, 300, (50, 2))
+    modes, precision = modes_of_the_whole(apart[:, :2], apart[:, 2], middles)
+    moved = Rotation.from_rotvec([2e-4, -3e-4, 4e-4]).as_matrix() @ np.diag([1.001, 0.998, 1.0])
+    departs = (apart @ (moved - np.eye(3)).T)[:, :2].ravel()
+    found = np.linalg.lstsq(modes.reshape(100, -1), departs, rcond=None)[0]
+    np.testing.assert_allclose(modes.reshape(100, -1) @ found, departs, atol=1e-6)
+    assert precision.shape == (modes.shape[2],)
 
 
 def test_what_one_half_of_a_roof_shows_of_a_tilt_moves_the_other(template) -> None:

@@ -42,14 +42,14 @@ from vntoolkit.tracking.template import TrackingTemplate
 STRAIN_PASSES = 4  # of lattice smoothing: strain that is not foreseen goes on over some cells
 _CONTOUR_STRAIN = 1.0  # across an occluding contour: how much is hidden there is not known
 _CONTOUR_STEEPNESS = 3.0  # squared slope, 60°, by which a surface recedes, and then no longer: a contour
-STRAIN = 0.07  # standard deviation of stretch, where none is measured: cloth has 0.03 to 0.1, skin up to 0.3
+_STRAIN = 0.07  # standard deviation of stretch, where none is measured: cloth has 0.03 to 0.1, skin up to 0.3
 _PRIOR_LINKS = 0.2  # measured links nearby that the two count for
 _NEAR_PASSES = 8  # of lattice smoothing: how far around a guess's success counts
 _NORMAL_ERROR = 0.05  # radians: shading that departs from the model turns normals by 3°
 _INDEPENDENT = 20.0  # errors by weight in a cell: alike over some pixels, they average out over the rest
 _MISTAKEN = 0.05  # share of lengths that are another surface's where nothing is known to be hidden
 _SLOW_DEGREE = 2  # of the polynomials in place that vary slowly
-TURN = 0.1  # standard deviation of a turn in one step of the fit, radians
+_TURN = 0.1  # standard deviation of a turn in one step of the fit, radians
 _TURN_PASSES = 2  # of lattice smoothing: the turn in the image is that of the surroundings
 _LEAST_WEIGHT = 1e-3  # mean of the slopes' in a cell that is divided by
 # Nine in ten errors in the plane are within √(ln 10) = 1.5 of a root mean square that is known, and within 3
@@ -145,7 +145,7 @@ class LinkLengths:
         by_body = self.along + whole + own
         steps = now[b] - now[a]
         square = self._square
-        of_lengths = self._near_mean(_strain(steps - by_lengths, square), tested, STRAIN**2)
+        of_lengths = self._near_mean(_strain(steps - by_lengths, square), tested, _STRAIN**2)
         given = of_lengths + of_normals
         of_lengths = errors.lengths * given
         departs = np.sum(own**2, axis=1) / square
@@ -277,6 +277,22 @@ def share_right(before: FloatArray, apart: FloatArray, variance: FloatArray) -> 
     return np.asarray(right / (right + wrong))
 
 
+def modes_of_the_whole(
+    steps: FloatArray, away_px: FloatArray, middles: FloatArray
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Return what the whole may do beside the guesses: (links, 2, k) by unit, (k,) inverse variances of it.
+
+    It stretches and shears, turns in the image and tilts out of it. Guesses alone would need hundreds of fits
+    to follow a turn: they read surface and surroundings where they were. steps: (links, 2) as guessed.
+    away_px: (links,) by how much the second end of each lies farther. middles: (links, 2) of the links,
+    pixels.
+    """
+    strains = uniform_strains(steps)
+    turns = np.concatenate([slow_turns(steps, middles), tilts(away_px)], axis=2)
+    precision = np.repeat([_STRAIN**-2, _TURN**-2], [strains.shape[2], turns.shape[2]])
+    return np.concatenate([strains, turns], axis=2), precision
+
+
 def uniform_strains(steps: FloatArray) -> npt.NDArray[np.float64]:
     """Return (links, 2, 3) what stretch along u, along v, and shear of the whole add to steps (links, 2)."""
     x, y = steps.T
@@ -287,8 +303,7 @@ def uniform_strains(steps: FloatArray) -> npt.NDArray[np.float64]:
 def slow_turns(steps: FloatArray, centres: FloatArray) -> npt.NDArray[np.float64]:
     """Return (links, 2, k): what slow turns of 1 radian, one a monomial, add to steps (links, 2).
 
-    centres: (links, 2), middles of the links in pixels. A guess takes its turn from the surroundings in the
-    step before, so that a turn of the whole would need hundreds of steps.
+    centres: (links, 2), middles of the links in pixels.
     """
     if len(steps) == 0:
         return np.zeros((0, 2, 0))
@@ -299,8 +314,7 @@ def slow_turns(steps: FloatArray, centres: FloatArray) -> npt.NDArray[np.float64
 def tilts(away_px: FloatArray) -> npt.NDArray[np.float64]:
     """Return (links, 2, 2): what turns of the whole by 1 radian about v and about u add to steps.
 
-    away_px: (links,) by how much the second end of each lies farther. Guesses follow a tilt as slowly as a
-    turn in the image: they read the surface where it was before.
+    away_px: (links,) by how much the second end of each lies farther.
     """
     none = np.zeros_like(away_px)
     return np.stack([np.stack(mode, axis=1) for mode in ((away_px, none), (none, away_px))], axis=2)

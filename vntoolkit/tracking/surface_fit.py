@@ -25,7 +25,7 @@ from vntoolkit.tracking.flow import common_shift, dense_flow
 from vntoolkit.tracking.guess_errors import usual_errors
 from vntoolkit.tracking.lattice import LocalJacobians, lattice_on_template
 from vntoolkit.tracking.lattice_system import LatticeSystem
-from vntoolkit.tracking.lengths import STRAIN, TURN, LinkLengths, slow_turns, tilts, uniform_strains
+from vntoolkit.tracking.lengths import LinkLengths, modes_of_the_whole
 from vntoolkit.tracking.outline import (
     Outline,
     contour_distance,
@@ -191,10 +191,7 @@ class SurfaceFit:
             alone = guess.torn + (1.0 - guess.torn) / LINKS_ALIKE
             variance = guess.variance + alone * np.sum(steps**2, axis=1) / _TORN_SIGMAS**2
             weight = 1.0 / (LINKS_ALIKE * variance)
-            strains = uniform_strains(guess.steps)
-            turns = np.concatenate([slow_turns(guess.steps, lengths.middles), tilts(guess.away_px)], axis=2)
-            modes = np.concatenate([strains, turns], axis=2)
-            precision = np.repeat([STRAIN**-2, TURN**-2], [strains.shape[2], turns.shape[2]])
+            modes, precision = modes_of_the_whole(guess.steps, guess.away_px, lengths.middles)
             solution = self._system.solve(
                 information + outline, pull + outline_pull, weight, steps, modes, precision
             )
