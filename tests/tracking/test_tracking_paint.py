@@ -48,6 +48,12 @@ def rolling(rng: np.random.Generator, slope: float) -> np.ndarray:
     return normals(*(slope * each / each.std() for each in drawn)).normals_in_camera
 
 
+def inverted(frame: LinearFrame, response: LightResponse) -> np.ndarray:
+    """The normals (h, w, 3) that a frame shows by M."""
+    scaled = (frame.rgb - response.ambient) @ response.inverse.T
+    return np.float32(scaled / np.linalg.norm(scaled, axis=2, keepdims=True))
+
+
 def test_it_is_the_reflectance_however_the_surface_is_turned(rng: np.random.Generator) -> None:
     turned = rolling(rng, 0.3)
     reflectance = rng.uniform(0.5, 1.2, (HEIGHT, WIDTH, 1))
@@ -55,7 +61,7 @@ def test_it_is_the_reflectance_however_the_surface_is_turned(rng: np.random.Gene
     labels = np.full((HEIGHT, WIDTH), 7, dtype=np.uint8)
     labels[:, :10] = 5
     clipped = GRID[..., 0] > WIDTH - 10
-    paint = paint_of_frame(LinearFrame(rgb=rgb, clipped=clipped), RESPONSE, labels)
+    paint = paint_of_frame(LinearFrame(rgb=rgb, clipped=clipped), turned, RESPONSE, labels)
     known = (labels == 7) & ~clipped
     np.testing.assert_allclose(paint[known], reflectance[known, 0], rtol=0.05)
     assert not paint[~known].any()
@@ -68,7 +74,19 @@ def test_it_is_as_noisy_as_the_brightness_where_the_surface_turns_away(rng: np.r
     light = RESPONSE.matrix @ tilted
     frame = LinearFrame(rgb=np.float32(light + RESPONSE.ambient + noise))
     inner = np.s_[10:-10, 10:-10]
-    assert paint_of_frame(frame, RESPONSE)[inner].std() < 1.1 * 0.01 / np.linalg.norm(light)
+    paint = paint_of_frame(frame, inverted(frame, RESPONSE), RESPONSE)
+    assert paint[inner].std() < 1.1 * 0.01 / np.linalg.norm(light)
+
+
+@pytest.mark.parametrize("missing", [0, 1, 2])
+def test_a_shadow_leaves_no_rim_beside_it(missing: int, rng: np.random.Generator) -> None:
+    turned = rolling(rng, 0.1)
+    beside = GRID[..., 0] - WIDTH // 2
+    labels = np.where(beside < 0, 7 - (1 << missing), 7).astype(np.uint8)
+    light = np.where((labels == 7)[..., None], 1.0, np.arange(3) != missing)
+    frame = LinearFrame(rgb=np.float32(light * (turned @ RESPONSE.matrix.T) + RESPONSE.ambient))
+    paint = paint_of_frame(frame, turned, RESPONSE, labels)
+    np.testing.assert_allclose(paint[(beside >= 0) & (beside < 10)], 1.0, atol=0.005)
 
 
 def test_paint_of_other_hues_is_their_reflectance_too(rng: np.random.Generator) -> None:
@@ -79,9 +97,9 @@ def test_paint_of_other_hues_is_their_reflectance_too(rng: np.random.Generator) 
     materials = np.uint8(GRID[..., 0] > WIDTH // 2)
     turned = rolling(rng, 0.2)
     frame = LinearFrame(rgb=((turned @ lights.T) * paints[materials] @ colours).astype(np.float32))
-    paint = paint_of_materials(frame, response, None, materials, paints)
+    paint = paint_of_materials(frame, turned, response, None, materials, paints)
     np.testing.assert_allclose(paint, np.prod(paints, axis=1)[materials] ** (1 / 3), rtol=0.05)
-    alone = paint_of_materials(frame, response, None, None, np.empty((0, 3)))
+    alone = paint_of_materials(frame, inverted(frame, response), response, None, None, np.empty((0, 3)))
     assert alone[materials == 0].std() > 0.05  # the turns of the surface, where hues are not known
 
 

@@ -9,11 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from vntoolkit.arrays import FloatArray, Points, Points2, VisibilityLabels
+from vntoolkit.arrays import FloatArray, Normals, Points, Points2, VisibilityLabels
 from vntoolkit.checks import require_positive
 from vntoolkit.diagnosis.finding import judge
 from vntoolkit.diagnosis.over_time import findings_from_tracks
 from vntoolkit.errors import BadInput, BadMesh, VntError
+from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.geometry.mesh import MeshSequence
 from vntoolkit.io.atomic import sole_writer, undisturbed
 from vntoolkit.io.footage.frame_range import sampled
@@ -33,7 +34,7 @@ from vntoolkit.tracking.tracker import SurfaceTracker, tracked_frame
 _LOGGER = logging.getLogger(__name__)
 _MEMORY_EVERY = 16  # frames that a run killed on the way does again, at most
 
-PaintReader = Callable[[int], Paint]
+PaintReader = Callable[[int, NormalMap], Paint]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -158,9 +159,10 @@ def _paint_reader(job: TrackJob, source: tracked_folder.TrackSource) -> PaintRea
         return None
     reflectances = np.array([entry.reflectance for entry in result.manifest.materials]).reshape(-1, 3)
 
-    def paint_of(number: int) -> Paint:
+    def paint_of(number: int, normal_map: NormalMap) -> Paint:
         return paint_of_materials(
             result.linear(number),
+            normal_map.normals_in_camera,
             result.rig.response,
             source.labels(number),
             result.materials(number),
@@ -172,6 +174,7 @@ def _paint_reader(job: TrackJob, source: tracked_folder.TrackSource) -> PaintRea
 
 def paint_of_materials(
     linear: LinearFrame,
+    normals: Normals,
     response: LightResponse,
     labels: VisibilityLabels | None,
     materials: MaterialLabels | None,
@@ -183,10 +186,10 @@ def paint_of_materials(
     for the rig's material alone, whose M would take the hue of another for a turn of the surface.
     """
     if materials is None or not len(reflectances):
-        return paint_of_frame(linear, response, labels)
+        return paint_of_frame(linear, normals, response, labels)
     brightness = np.exp(np.log(reflectances).mean(axis=1)).astype(np.float32)
     alike = relit(linear, response.central, materials, reflectances)
-    return brightness[materials] * paint_of_frame(alike, response, labels)
+    return brightness[materials] * paint_of_frame(alike, normals, response, labels)
 
 
 def _registered_by(
@@ -195,15 +198,15 @@ def _registered_by(
     """Return the sensor's fixed pattern, the template's paint, and paint's, by frames from all over."""
     if job.options.method is not Tracker.DEFAULT:
         return (), None, ()
-    reliefs = {}
+    reliefs, paints = [], []
     for number in sampled([n for n in source.numbers if source.has(n)], FRAMES_COMPARED):
         seen = source.normals(number)
-        reliefs[number] = relief_slopes(slopes_from_normals(seen, source.camera), seen, source.labels(number))
-    of_relief = fixed_pattern(relief[..., :3] for relief in reliefs.values())
-    if paint_of is None:
-        return of_relief, None, ()
-    of_paint = fixed_pattern(paint_image(paint_of(n), relief) for n, relief in reliefs.items())
-    return of_relief, paint_of(template), of_paint
+        relief = relief_slopes(slopes_from_normals(seen, source.camera), seen, source.labels(number))
+        reliefs.append(relief[..., :3])
+        if paint_of is not None:
+            paints.append(paint_image(paint_of(number, seen), relief))
+    paint = None if paint_of is None else paint_of(template, source.normals(template))
+    return fixed_pattern(reliefs), paint, fixed_pattern(paints)
 
 
 def _visible_shares(job: TrackJob, rows: Sequence[int]) -> tuple[tuple[float, ...], tuple[float, ...]]:
@@ -265,8 +268,9 @@ def _follow(
     try:
         for number in numbers[done + 1 :]:
             if source.has(number):
-                paint = None if paint_of is None else paint_of(number)
-                tracked = tracker.step(*source.maps(number), source.labels(number), paint)
+                normal_map, depth_map = source.maps(number)
+                paint = None if paint_of is None else paint_of(number, normal_map)
+                tracked = tracker.step(normal_map, depth_map, source.labels(number), paint)
                 writer.append(tracked.vertices_in_camera, tracked.uncertainty_px)
             else:
                 held, uncertainty = tracker.state.vertices_in_camera, tracker.state.uncertainty_px

@@ -6,8 +6,10 @@ with the surface, as slopes are, and what spreads over many pixels stays with th
 
 Pixel by pixel that length takes all noise for paint, and M⁻¹ makes much of it where a surface turns away. Nor
 is noise all: a mosaic has fewer red and blue pixels than strands of hair have lights, and what it makes of
-them wanders along the strands by pixels while they move by tenths. So n is that of the colours around, and ρ
-the least-squares one of a pixel's colour, by M n: it reads brightness, which a mosaic leaves as it is.
+them wanders along the strands by pixels while they move by tenths. So n is the mean of the normals around,
+and ρ the least-squares one of a pixel's colour, by M n: it reads brightness, which a mosaic leaves as it is.
+The mean of the colours around would do as well, but for the edges of shadows: there it mixes two hues, and
+a bright rim would run along with the shadow.
 
 Gains of pixels, too, stay where they are while the surface moves: the fixed pattern of the sensor, about 1 %.
 Slopes then hold a fixed relief of some tenths of a degree. On a smooth surface it is the strongest there is,
@@ -27,7 +29,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from vntoolkit.arrays import VisibilityLabels
+from vntoolkit.arrays import Normals, VisibilityLabels
 from vntoolkit.native import njit
 from vntoolkit.photometry.frame import ALL_LIT, LinearFrame
 from vntoolkit.photometry.levelling import leveller_of
@@ -49,17 +51,21 @@ _OF_PAINT = 3.0  # power of paint over that in the next band, at most
 
 
 def paint_of_frame(
-    linear: LinearFrame, response: LightResponse, labels: VisibilityLabels | None = None
+    linear: LinearFrame,
+    normals: Normals,
+    response: LightResponse,
+    labels: VisibilityLabels | None = None,
 ) -> Paint:
     """Return (h, w) the reflectance ρ, beside that of the material that M holds for.
 
-    0 where a channel is clipped, and where labels (h, w) say that a light is missing.
+    normals: (h, w, 3) in the camera's frame, 0 where none is known. 0 where a channel is clipped, and where
+    labels (h, w) say that a light is missing.
     """
     level = linear if response.variation is None else leveller_of(response, linear.shape).frame(linear)
     central = response.central
-    rgb = level.rgb - central.ambient.astype(np.float32)
-    around = np.asarray(cv2.GaussianBlur(rgb, (_TAPS, _TAPS), _AROUND_PX), np.float32)
-    paint = _reflectances(rgb, around, central.inverse.astype(np.float32))
+    around = np.asarray(cv2.GaussianBlur(normals, (_TAPS, _TAPS), _AROUND_PX), np.float32)
+    matrix, ambient = np.float32(central.matrix), np.float32(central.ambient)
+    paint = _reflectances(level.rgb, around, matrix, ambient)
     known = ~linear.clipped if labels is None else ~linear.clipped & (labels & ALL_LIT == ALL_LIT)
     return np.asarray(paint * known, np.float32)
 
@@ -76,20 +82,20 @@ def paint_image(paint: Paint, relief: Relief) -> PaintImage:
 
 
 @njit(cache=True)
-def _reflectances(rgb, around, inverse):  # type: ignore[no-untyped-def]
-    """(h, w) ρ of colours and of those around (h, w, 3): |M⁻¹ r̄| (r · r̄) / |r̄|²."""
+def _reflectances(rgb, normals, matrix, ambient):  # type: ignore[no-untyped-def]
+    """(h, w) ρ of colours r + a and the normals n around them (h, w, 3): |n| (r · M n) / |M n|²."""
     h, w = rgb.shape[:2]
     out = np.empty((h, w), dtype=np.float32)
     for v in range(h):
         for u in range(w):
             length = along = square = np.float32(0.0)
             for k in range(3):
-                n = np.float32(0.0)
+                light = np.float32(0.0)
                 for c in range(3):
-                    n += inverse[k, c] * around[v, u, c]
-                length += n * n
-                along += rgb[v, u, k] * around[v, u, k]
-                square += around[v, u, k] * around[v, u, k]
+                    light += matrix[k, c] * normals[v, u, c]
+                length += normals[v, u, k] * normals[v, u, k]
+                along += (rgb[v, u, k] - ambient[k]) * light
+                square += light * light
             out[v, u] = np.sqrt(length) * along / max(square, _LEAST_SQUARE)
     return out
 
