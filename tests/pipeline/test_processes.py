@@ -70,9 +70,9 @@ def test_processes_are_kept_only_where_that_is_asked_for() -> None:
         assert sorted(shared_out(_begin, [1, 2, 3], 2)) == [1, 2, 3, 10, 20, 30]
         again = {process for process, _ in shared_out(_process, range(20), 2)}
     afterwards = {process for process, _ in shared_out(_process, range(20), 2)}
-    assert again <= first
+    assert len(first | again) <= 2  # one of the two may have done all
     assert os.getpid() not in first
-    assert not afterwards & first
+    assert not afterwards & (first | again)
 
 
 def test_processes_are_not_kept_after_a_failure() -> None:
