@@ -42,7 +42,7 @@ def relief_of(normal_map: NormalMap) -> Relief:
 def measured(first: NormalMap, second: NormalMap, shift=(0.0, 0.0)) -> Measurement:
     template = template_from_maps(first, flat_depth(first.mask), CAMERA)
     lattice = lattice_on_template(template, 8)
-    registration = TemplateRegistration(template, lattice, relief_of(first))
+    registration = TemplateRegistration(template, lattice, CAMERA, relief_of(first))
     positions = template.positions_px + np.asarray(shift)
     jacobians = LocalJacobians(lattice, template.positions_px).of(positions)
     return registration.measure(positions, jacobians, relief_of(second))
@@ -180,7 +180,7 @@ def test_relief_that_is_off_by_more_than_its_waves_is_searched_for() -> None:
     template = template_from_maps(frame, flat_depth(frame.mask), CAMERA)
     lattice = lattice_on_template(template, 8)
     relief = relief_of(frame)
-    registration = TemplateRegistration(template, lattice, relief)
+    registration = TemplateRegistration(template, lattice, CAMERA, relief)
     jacobians = LocalJacobians(lattice, template.positions_px).of(template.positions_px)
     told = registration.measure(template.positions_px + np.array([11.0, -9.0]), jacobians, relief)
     shift, sure = registration.searched(told, np.ones(lattice.count, dtype=bool))
@@ -239,6 +239,43 @@ def test_where_a_smooth_limb_is_turned_is_not_known(radius_px: float, rng: np.ra
     tracker = SurfaceTracker(frames[0], depth, CAMERA)
     state = tracker.step(frames[1], depth)
     assert np.median(state.uncertainty_px) > 2.0
+
+
+def test_turns_explain_what_a_vase_shows_across_its_axis_and_not_the_relief_upon_it(
+    rng: np.random.Generator,
+) -> None:
+    x, y = GRID[..., 0] - 63.5, GRID[..., 1] - 48.0
+    radius = 44.0 + 1.5 * np.sin(y / 2.0)
+    mask = (np.abs(x) < 0.9 * radius) & (np.abs(y) < 38)
+    bulge = np.sqrt(np.maximum(radius**2 - x**2, 1.0))
+    bumps = cv2.GaussianBlur(rng.normal(size=(HEIGHT, WIDTH)), (0, 0), 2.0)
+    bumps *= 0.2 / bumps.std()
+    inside = (np.abs(x) > 8) & (np.abs(x) < 34) & (np.abs(y) < 28)
+    left = []
+    for relief in (0.0, 1.0):
+        p, q = x / bulge, -0.75 * radius * np.cos(y / 2.0) / bulge
+        p, q = p + relief * np.gradient(bumps, axis=1), q + relief * np.gradient(bumps, axis=0)
+        vase = normals(p, q, mask)
+        template = template_from_maps(vase, DepthMap(depth=200.0 - bulge, mask=mask), CAMERA)
+        lattice = lattice_on_template(template, 8)
+        registration = TemplateRegistration(template, lattice, CAMERA, relief_of(vase))
+        for halvings in (0, 1):
+            u, v = template.pixels.min(axis=0)
+            gradients, turns = registration._bands[halvings].gradients, registration._turns[halvings]
+            shape = gradients.shape
+            where = inside[v :: 2**halvings, u :: 2**halvings][: shape[0], : shape[1]]
+            kept = [
+                np.square(each[where].reshape(-1, 2, 2)).sum(axis=(0, 2))
+                for each in (gradients - turns, gradients)
+            ]
+            left.append(kept[0] / kept[1])
+    (fine, coarse), (fine_relief, coarse_relief) = left[:2], left[2:]
+    assert coarse[0] < 0.15
+    assert coarse[1] > 0.9
+    assert fine[0] < 0.65
+    assert fine[1] > 0.95
+    assert coarse_relief[0] > 4.0 * coarse[0]
+    assert fine_relief.min() > 0.95
 
 
 def test_a_border_that_another_part_covers_is_not_drawn_to_the_outline_beyond() -> None:

@@ -102,7 +102,7 @@ def errors_problem(template) -> tuple[TemplateLattice, LinkLengths, FitErrors]:
     lengths = LinkLengths(lattice, template, video.camera, slopes)
     errors = FitErrors(
         lattice,
-        TemplateRegistration(template, lattice, relief_slopes(slopes, video.maps(0)[0])),
+        TemplateRegistration(template, lattice, video.camera, relief_slopes(slopes, video.maps(0)[0])),
         lengths,
     )
     return lattice, lengths, errors

@@ -20,6 +20,8 @@ from vntoolkit.tracking.slopes import LEAST_WEIGHT, Relief, gradient_bands
 from vntoolkit.tracking.template import TrackingTemplate
 
 RIM_PX = 12.0  # of the band: nearer to an occluding contour, slopes belong to the contour
+LEAST_NOISE = 1e-3  # slope: what interpolation leaves
+_AS_THEY_ARE = np.empty((0, 4))  # no Jacobians
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -55,19 +57,22 @@ class TemplateRaster:
         """Return the bands of a frame's slopes; jacobians: (nodes, 4) of positions (n, 2)."""
         return self._banded(relief[..., :3], positions_px, jacobians, relief)
 
+    def read(
+        self, relief: Relief, positions_px: Points2
+    ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+        """Return slopes (h, w, 2) at positions (n, 2), as they are there, times weight (h, w), and it."""
+        values, weight, _ = self._read(relief[..., :3], positions_px, _AS_THEY_ARE, relief)
+        return values, weight
+
     def paint(self, positions_px: Points2, paint: PaintImage | None, relief: Relief) -> list[Band]:
         """Return the bands of a frame's paint, empty ones for None; relief: of the same frame."""
         nothing = np.zeros((*relief.shape[:2], 2), np.float32)
-        return self._banded(nothing if paint is None else paint, positions_px, np.empty((0, 4)), relief)
+        return self._banded(nothing if paint is None else paint, positions_px, _AS_THEY_ARE, relief)
 
     def _banded(
         self, image: npt.NDArray[np.float32], positions_px: Points2, jacobians: FloatArray, relief: Relief
     ) -> list[Band]:
-        shape, lattice = self.node.shape, self._lattice
-        values = np.zeros((*shape, image.shape[2] - 1), dtype=np.float32)
-        weight, from_contour_px = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
-        at = (lattice.taps, lattice.shares, *self._at)
-        _pull_back(image, relief, positions_px, jacobians, *at, values, weight, from_contour_px)
+        values, weight, from_contour_px = self._read(image, positions_px, jacobians, relief)
         node, out = self.node, []
         for halvings, (features, gradients, kept) in enumerate(gradient_bands(values, weight)):
             beside = from_contour_px[:: 2**halvings, :: 2**halvings] < RIM_PX * 2.0**halvings
@@ -76,6 +81,22 @@ class TemplateRaster:
             out.append(Band(node=node, features=features, gradients=gradients, weight=kept, beside=beside))
             node = np.ascontiguousarray(node[::2, ::2])
         return out
+
+    def _read(
+        self, image: npt.NDArray[np.float32], positions_px: Points2, jacobians: FloatArray, relief: Relief
+    ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+        """Values (h, w, k) times weight (h, w), the weight, and distance from an occluding contour (h, w)."""
+        shape, lattice = self.node.shape, self._lattice
+        values = np.zeros((*shape, image.shape[2] - 1), dtype=np.float32)
+        weight, from_contour_px = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
+        at = (lattice.taps, lattice.shares, *self._at)
+        _pull_back(image, relief, positions_px, jacobians, *at, values, weight, from_contour_px)
+        return values, weight, from_contour_px
+
+
+def curl_of(band: Band) -> npt.NDArray[np.float32]:
+    """Return (h, w) the curl of a band's slopes."""
+    return np.asarray(band.gradients[..., 2] - band.gradients[..., 1])
 
 
 @njit(cache=True, fastmath=True)

@@ -67,9 +67,7 @@ class BodyMotion:
         along: FloatArray,
     ) -> None:
         """Lay out the unknowns. links: (e, 2) nodes. along: (e, 2) from one to the other, pixels."""
-        depth = template.vertices_in_camera[:, 2]
-        relief_px = template.pixels_per_length(camera) * (depth - np.median(depth))
-        points = np.column_stack([template.positions_px, relief_px])
+        points = template.points_px(camera)
         points -= points.mean(axis=0)
         scale = max(float(points[:, :2].std()), 1e-9)
         counts = np.bincount(lattice.node_of_vertex, minlength=lattice.count)

@@ -13,7 +13,9 @@ Template f and frame g differ by noise and by the displacement d: g − f = F d 
 F = ½(∇f + ∇g), the moments b = −Σ Fᵀ(g − f), H = Σ FᵀF and A = Σ ∇fᵀ∇g give d = A⁻¹ b. A is made of what both
 have in common: noise is not, and raises H alone. Where A is no larger than chance makes it, nothing is told.
 Nor does A count as far as it goes with curl that both have in common: a surface's slopes have none. What a
-mosaic makes of strands finer than its pixels has, is alike in both, and wanders along the strands.
+mosaic makes of strands finer than its pixels has, is alike in both, and wanders along the strands. Nor does
+what a turn of the surface in place changes as much as a shift does: it is taken off F in A, H and b
+(`turns`).
 Else, along an eigenvector of A, d has the variance S / A², with S = Σ s² over the nodes of the window, s what
 the pixels of one still pull by at d (the sandwich of `white1980`, clustered): it counts noise, and whatever
 moves otherwise than the rest. White noise alone, of the residual's σ², makes S = σ² H, the least it can be.
@@ -29,14 +31,16 @@ import numpy as np
 import numpy.typing as npt
 
 from vntoolkit.arrays import FloatArray, Mask, Points2
+from vntoolkit.geometry.camera import Camera
 from vntoolkit.native import njit
-from vntoolkit.tracking.bands import RIM_PX, Band, TemplateRaster
+from vntoolkit.tracking.bands import LEAST_NOISE, RIM_PX, Band, TemplateRaster, curl_of
 from vntoolkit.tracking.guess_errors import GuessErrors
 from vntoolkit.tracking.lattice import NODES_BY_PASS, TemplateLattice
 from vntoolkit.tracking.paint import PaintImage
 from vntoolkit.tracking.remembered import Finest, Remembered, remembered_template, what_exceeds
 from vntoolkit.tracking.slopes import Relief
 from vntoolkit.tracking.template import TrackingTemplate
+from vntoolkit.tracking.turns import explained_by_turns
 
 _CHANCE = 2.5  # standard deviations of A without a common signal, below which nothing is told
 _CORRELATED_PX = 12.0  # pixels that agree by chance count as one, by H: so measured on white noise
@@ -50,7 +54,6 @@ _REACH_PX, _SEARCH_STEP_PX = 16, 2  # of the search for what is lost
 _PATCH_CELLS = 4  # side of the squares that it shifts
 _SURE = 5.0  # standard deviations of a correlation by chance: there are some 300 shifts
 _KNOWN_PX = 4.0  # error by the finest relief around, at which half of the slide remains possible
-_LEAST_NOISE = 1e-3  # slope: what interpolation leaves
 _PATTERN_PX = 2.0  # of the band, and of motion: a fixed pattern has nothing in common with itself farther off
 _PATTERN_VARIES = 2.0  # power of it in a window over that in the windows around, at most
 _FEW_NODES = 5.0  # variance of a step over that of its nodes' pulls: not all of them move alike
@@ -98,8 +101,9 @@ class WindowSteps:
 class Measurement:
     """information: (nodes, 3) I_uu, I_uv, I_vv in 1/px² of the template. pull: (nodes, 2) I d.
 
-    match: (nodes,) the share of the finest gradients that template and frame have in common, 0 to 1, of
-    relief or of paint, the larger: where one matches, the other looks otherwise for some other reason.
+    match: (nodes,) the share of the finest gradients that template and frame have in common and no turn
+    explains, 0 to 1, of relief or of paint, the larger: where one matches, the other looks otherwise for some
+    other reason.
     expected: (nodes,) the share of relief if only noise told them apart. found: (nodes,) the greatest share
     of any windows. windows: what those of each kind measured, and last what is remembered
     adds. finest: what the finest bands tell. correlated_px: for each kind of windows on relief, (nodes,) how
@@ -145,6 +149,7 @@ class TemplateRegistration:
         self,
         template: TrackingTemplate,
         lattice: TemplateLattice,
+        camera: Camera,
         relief: Relief,
         pattern: Sequence[FloatArray] = (),
         paint: PaintImage | None = None,
@@ -158,6 +163,13 @@ class TemplateRegistration:
         self._patch = np.unique(patches, axis=0, return_inverse=True)[1].ravel()
         identity = np.tile([1.0, 0.0, 0.0, 1.0], (lattice.count, 1))
         self._bands = self._raster.relief(template.positions_px, identity, relief)
+        passes = [
+            min(windows.passes for windows in self._relief_windows if windows.halvings == halvings)
+            for halvings in range(len(self._bands))
+        ]
+        self._turns = explained_by_turns(
+            self._raster, lattice, self._bands, passes, template.points_px(camera), relief
+        )
         self._noise = [self._noise_share(windows) for windows in self._relief_windows]
         self._paint_bands = [] if paint is None else self._raster.paint(template.positions_px, paint, relief)
         self._pixels = template.positions_px
@@ -180,7 +192,7 @@ class TemplateRegistration:
         """
         count = self._lattice.count
         frame = self._raster.relief(positions_px, jacobians, relief)
-        moments = [_moments_of(*each, count) for each in zip(self._bands, frame, strict=True)]
+        moments = [_moments_of(*each, count) for each in zip(self._bands, frame, self._turns, strict=True)]
         moved_px = self._lattice.sums(np.hypot(*(positions_px - self._pixels).T)[:, None])[:, 0] / self._size
         correlated_px = (
             tuple(
@@ -204,7 +216,9 @@ class TemplateRegistration:
         painted = []
         if self._paint_bands:
             theirs = self._raster.paint(positions_px, paint, relief)
-            moments = [_moments_of(*each, count) for each in zip(self._paint_bands, theirs, strict=True)]
+            moments = [
+                _moments_of(*each, None, count) for each in zip(self._paint_bands, theirs, strict=True)
+            ]
             alike = {w.halvings: float(px.max()) for w, px in zip(_WINDOWS, correlated_px, strict=False)}
             for windows in self._paint_windows:
                 own = moments[windows.halvings]
@@ -257,9 +271,9 @@ class TemplateRegistration:
         """Compare the finest bands with what is remembered, too; a fixed pattern is in both."""
         moved_px = np.hypot(*(self._nodes(positions_px) - remembered.nodes_px).T)
         alike = (correlated_px, np.full(len(correlated_px), float(correlated_px.max())))
-        patterns = (self._pattern, self._paint_pattern)
+        patterns, turns = (self._pattern, self._paint_pattern), (self._turns[0], None)
         own = [
-            self._with_pattern(_moments_of(*pair, self._lattice.count), 0, moved_px, patterns[k])
+            self._with_pattern(_moments_of(*pair, turns[k], self._lattice.count), 0, moved_px, patterns[k])
             for k, pair in enumerate(zip(remembered.bands(self._raster.node), finest.bands, strict=True))
         ]
         narrow, wide = (
@@ -385,7 +399,7 @@ class TemplateRegistration:
         band, count = self._bands[windows.halvings], self._lattice.count
         inside = band.node >= 0
         node, weight = band.node[inside], band.weight[inside]
-        squares = (2.0 * np.square(_curl(band)), np.square(band.gradients).sum(axis=-1))
+        squares = (2.0 * np.square(curl_of(band)), np.square(band.gradients).sum(axis=-1))
         own = [np.bincount(node, weight * square[inside], count) for square in squares]
         noise, power = self._lattice.smoothed(np.stack(own, axis=1), windows.passes).T
         return np.asarray(np.minimum(noise / np.maximum(power, 1e-30), 1.0))
@@ -402,7 +416,7 @@ class TemplateRegistration:
         if np.count_nonzero(asked) < _FEWEST_WINDOWS * windows.nodes:
             return np.full(self._lattice.count, _CORRELATED_PX)
         mine, theirs = self._bands[windows.halvings], frame[windows.halvings]
-        curl, whole = _curl(theirs) - _curl(mine), windows.nodes / 3.0**windows.passes
+        curl, whole = curl_of(theirs) - curl_of(mine), windows.nodes / 3.0**windows.passes
         weight = np.minimum(mine.weight, theirs.weight)
         squares = []
         for down, across in ((_APART_PX, 0), (0, _APART_PX)):
@@ -419,10 +433,13 @@ class TemplateRegistration:
         return np.asarray(_CORRELATED_PX * (1.0 + (found - 1.0) * share))
 
 
-def _moments_of(mine: Band, theirs: Band, count: int) -> npt.NDArray[np.float64]:
-    """Moments (nodes, 14) of a band of the template and one of the frame."""
+def _moments_of(
+    mine: Band, theirs: Band, turns: npt.NDArray[np.float32] | None, count: int
+) -> npt.NDArray[np.float64]:
+    """Moments (nodes, 14) of a band of the template and one of the frame; turns: (h, w, 2 k) T K, or none."""
     first, second = ((band.features, band.gradients, band.weight) for band in (mine, theirs))
-    return np.asarray(_moments(mine.node, count, *first, *second))
+    explained = np.zeros_like(mine.gradients) if turns is None else turns
+    return np.asarray(_moments(mine.node, count, *first, *second, explained))
 
 
 def _symmetric(information: FloatArray) -> npt.NDArray[np.float64]:
@@ -430,13 +447,8 @@ def _symmetric(information: FloatArray) -> npt.NDArray[np.float64]:
     return np.asarray(information[:, [0, 1, 1, 2]].reshape(-1, 2, 2))
 
 
-def _curl(band: Band) -> npt.NDArray[np.float32]:
-    """Curl (h, w) of the slopes of a band."""
-    return np.asarray(band.gradients[..., 2] - band.gradients[..., 1])
-
-
 @njit(cache=True, fastmath=True)
-def _moments(node, count, f, df, wf, g, dg, wg):  # type: ignore[no-untyped-def]
+def _moments(node, count, f, df, wf, g, dg, wg, turns):  # type: ignore[no-untyped-def]
     """(nodes, 14): A (3), H (3), b (2), Σ w |g − f|², Σ w, Σ w |∇f|², pixels, A's trace where positive, and
     the common product of curls: half of what noise of both slopes adds to A's trace, so all along one axis.
     """
@@ -454,14 +466,15 @@ def _moments(node, count, f, df, wf, g, dg, wg):  # type: ignore[no-untyped-def]
                 fx, fy = df[v, u, c], df[v, u, channels + c]
                 gx, gy = dg[v, u, c], dg[v, u, channels + c]
                 mx, my = 0.5 * (fx + gx), 0.5 * (fy + gy)
-                out[j, 0] += weight * fx * gx
-                out[j, 1] += weight * 0.5 * (fx * gy + fy * gx)
-                out[j, 2] += weight * fy * gy
-                out[j, 3] += weight * mx * mx
-                out[j, 4] += weight * mx * my
-                out[j, 5] += weight * my * my
-                out[j, 6] -= weight * mx * r
-                out[j, 7] -= weight * my * r
+                tx, ty = turns[v, u, c], turns[v, u, channels + c]
+                out[j, 0] += weight * (fx * gx - tx * mx)
+                out[j, 1] += weight * 0.5 * (fx * gy + fy * gx - tx * my - ty * mx)
+                out[j, 2] += weight * (fy * gy - ty * my)
+                out[j, 3] += weight * (mx - tx) * mx
+                out[j, 4] += weight * 0.5 * (2.0 * mx * my - tx * my - ty * mx)
+                out[j, 5] += weight * (my - ty) * my
+                out[j, 6] -= weight * (mx - tx) * r
+                out[j, 7] -= weight * (my - ty) * r
                 out[j, 8] += weight * r * r
                 out[j, 9] += weight
                 out[j, 10] += weight * (fx * fx + fy * fy + gx * gx + gy * gy) * 0.5
@@ -579,7 +592,7 @@ def _informed(own, terms, spread, kept, axis, nodes, accuracy):  # type: ignore[
                 x, y = -y, x
             power = terms[j, 3] * x * x + 2 * terms[j, 4] * x * y + terms[j, 5] * y * y
             pull = spread[j, 0] * x * x + 2 * spread[j, 1] * x * y + spread[j, 2] * y * y
-            noise = terms[j, 8] / terms[j, 9] + _LEAST_NOISE**2
+            noise = terms[j, 8] / terms[j, 9] + LEAST_NOISE**2
             info = part / (max(few * pull, power * noise) / (sure * sure) + accuracy**2)
             information[j, 0] += info * x * x
             information[j, 1] += info * x * y

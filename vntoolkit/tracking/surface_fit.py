@@ -112,7 +112,7 @@ class SurfaceFit:
         self._lattice, self._camera = lattice, camera
         self._outline = Outline(template, lattice, figure)
         self._registration = TemplateRegistration(
-            template, lattice, seen.relief, pattern, seen.paint, paint_pattern
+            template, lattice, camera, seen.relief, pattern, seen.paint, paint_pattern
         )
         self._lengths = LinkLengths(lattice, within, camera, slopes)
         self._jacobians = LocalJacobians(lattice, template.positions_px)

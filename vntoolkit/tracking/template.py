@@ -44,10 +44,12 @@ class TrackingTemplate:
         """(n, 2) float64 pixel positions in the template frame."""
         return self.pixels.astype(np.float64)
 
-    def pixels_per_length(self, camera: Camera) -> float:
-        """Return how many pixels a length unit takes at the template's median depth."""
-        depth = float(np.median(self.vertices_in_camera[:, 2])) if camera.is_perspective else 1.0
-        return float(camera.matrix[0, 0]) / depth
+    def points_px(self, camera: Camera) -> Points:
+        """Return (n, 3) the vertices as seen from afar: u, v and the depth beside its median, in pixels."""
+        depth = self.vertices_in_camera[:, 2]
+        median = float(np.median(depth))
+        pixels_per_length = float(camera.matrix[0, 0]) / (median if camera.is_perspective else 1.0)
+        return np.column_stack([self.positions_px, pixels_per_length * (depth - median)])
 
 
 def template_from_maps(
