@@ -11,6 +11,7 @@ import pytest
 
 from tests.tracking.wrinkled_video import WrinkledVideo
 from vntoolkit.errors import BadInput
+from vntoolkit.io.maps_and_meshes.label_images import write_labels
 from vntoolkit.io.maps_and_meshes.maps import write_depth_map, write_normal_map
 from vntoolkit.io.results.manifest import InputEntry, Manifest, read_manifest, write_manifest
 from vntoolkit.io.results.seams import read_seams, write_seams
@@ -19,6 +20,7 @@ from vntoolkit.io.rigs import entry_from_rig
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline.checkerboard import write_checkerboard
+from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.track import TrackJob, track
 from vntoolkit.tracking.options import Tracker, TrackingOptions
 
@@ -120,10 +122,18 @@ def test_other_options_are_not_mixed_in(folder: Path) -> None:
     assert track(other, overwrite=True).resumed == 0
 
 
-def test_a_depth_map_that_is_not_of_its_normals_is_refused_by_name(folder: Path) -> None:
-    _, small = WrinkledVideo(width=48, height=36, sway_px=1.0).maps(4)
-    write_depth_map(folder / "depth/000004.exr", small)
-    with pytest.raises(BadInput, match=r"000004.exr: 48×36 pixels, but the frame's normals have 96×72"):
+@pytest.mark.parametrize("kind", ["normals", "depth", "shadows"])
+def test_a_file_of_another_size_is_refused_by_name(folder: Path, kind: str) -> None:
+    normal_map, depth_map = WrinkledVideo(width=48, height=36, sway_px=1.0).maps(4)
+    path = ReconstructionFolder(root=folder).file(kind, 4)
+    path.parent.mkdir(exist_ok=True)
+    if kind == "normals":
+        write_normal_map(path, normal_map)
+    elif kind == "depth":
+        write_depth_map(path, depth_map)
+    else:
+        write_labels(path, np.full(normal_map.shape, 7, dtype=np.uint8))
+    with pytest.raises(BadInput, match=rf"{path.name}: 48×36 pixels, but the camera has 96×72"):
         track(job(folder))
 
 

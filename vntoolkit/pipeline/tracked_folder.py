@@ -55,25 +55,36 @@ class TrackSource:
         return self.folder.has(number, "normals", "depth")
 
     def maps(self, number: int) -> tuple[NormalMap, DepthMap]:
-        """Read one frame. Raises `BadInput` where its depth is not of its normals."""
-        path, normals = self.folder.file("depth", number), self.normals(number)
+        """Read one frame. Raises `BadInput`, as the others do, for a file of another size than the camera."""
+        path = self.folder.file("depth", number)
         depth = read_depth_map(path)
-        (height, width), (own_height, own_width) = normals.mask.shape, depth.mask.shape
-        if (height, width) != (own_height, own_width):
-            raise BadInput(
-                f"{path}: {own_width}×{own_height} pixels, but the frame's normals have {width}×{height}; "
-                "remove both and run `vntoolkit reconstruct` again: it makes what is missing"
-            )
-        return normals, depth
+        self._require_size(path, depth.shape)
+        return self.normals(number), depth
 
     def labels(self, number: int) -> VisibilityLabels | None:
         """Read which lights reach the pixels of one frame; None where `reconstruct` looked for no shadows."""
         path = self.folder.file("shadows", number)
-        return read_labels(path) if path.exists() else None
+        if not path.exists():
+            return None
+        labels = read_labels(path)
+        self._require_size(path, labels.shape)
+        return labels
 
     def normals(self, number: int) -> NormalMap:
         """Read one frame's normals."""
-        return read_normal_map(self.folder.file("normals", number))
+        path = self.folder.file("normals", number)
+        normals = read_normal_map(path)
+        self._require_size(path, normals.shape)
+        return normals
+
+    def _require_size(self, path: Path, shape: tuple[int, ...]) -> None:
+        height, width = shape
+        own = self.camera
+        if (width, height) != (own.width, own.height):
+            raise BadInput(
+                f"{path}: {width}×{height} pixels, but the camera has {own.width}×{own.height}; "
+                "remove it and run `vntoolkit reconstruct` again: it makes what is missing"
+            )
 
 
 def open_track_source(root: Path) -> TrackSource:

@@ -21,7 +21,7 @@ from vntoolkit.tracking.template import TrackingTemplate
 
 RIM_PX = 12.0  # of the band: nearer to an occluding contour, slopes belong to the contour
 LEAST_NOISE = 1e-3  # slope: what interpolation leaves
-_AS_THEY_ARE = np.empty((0, 4))  # no Jacobians
+_NOT_PULLED_BACK = np.empty((0, 4))  # no Jacobians
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -60,14 +60,14 @@ class TemplateRaster:
     def read(
         self, relief: Relief, positions_px: Points2
     ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
-        """Return slopes (h, w, 2) at positions (n, 2), as they are there, times weight (h, w), and it."""
-        values, weight, _ = self._read(relief[..., :3], positions_px, _AS_THEY_ARE, relief)
+        """Return slopes times weight (h, w, 2), and weight (h, w), at positions (n, 2), not pulled back."""
+        values, weight, _ = self._read(relief[..., :3], positions_px, _NOT_PULLED_BACK, relief)
         return values, weight
 
     def paint(self, positions_px: Points2, paint: PaintImage | None, relief: Relief) -> list[Band]:
         """Return the bands of a frame's paint, empty ones for None; relief: of the same frame."""
         nothing = np.zeros((*relief.shape[:2], 2), np.float32)
-        return self._banded(nothing if paint is None else paint, positions_px, _AS_THEY_ARE, relief)
+        return self._banded(nothing if paint is None else paint, positions_px, _NOT_PULLED_BACK, relief)
 
     def _banded(
         self, image: npt.NDArray[np.float32], positions_px: Points2, jacobians: FloatArray, relief: Relief

@@ -58,8 +58,8 @@ def paint_of_frame(
 ) -> Paint:
     """Return (h, w) the reflectance ρ, beside that of the material that M holds for.
 
-    normals: (h, w, 3) in the camera's frame, 0 where none is known. 0 where a channel is clipped, and where
-    labels (h, w) say that a light is missing.
+    normals: (h, w, 3), 0 where none is known. ρ is 0 where a channel is clipped, and where labels (h, w) say
+    that a light is missing.
     """
     level = linear if response.variation is None else leveller_of(response, linear.shape).frame(linear)
     central = response.central

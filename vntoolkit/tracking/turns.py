@@ -1,4 +1,4 @@
-"""What of the template's gradients turns of the surface in place explain: it tells of no shift.
+"""Which part of the template's gradients a turn of the surface in place explains, and so tells of no shift.
 
 A surface that turns about itself, as a vase on a wheel, slides along itself: its profile stays where it is.
 By a small turn ω about the depth of a window its bands change by T ω, by a shift d by F d, and the two may
