@@ -66,14 +66,21 @@ def test_a_body_that_holds_is_soon_taken_for_one_and_a_rift_in_it_stays_loose() 
     errors = usual_errors(len(lengths.links))
     for _ in range(60):
         guess = lengths.guessed(
-            moved, around, sheet, flat_depth(mask), 0 * known, known, lengths.around(errors)
+            moved, around, sheet, flat_depth(mask), 0 * known, 0 * known, known, lengths.around(errors)
         )
         errors = lengths.learnt(errors, guess, moved, np.ones(len(lengths.links)))
     unseen = lengths.guessed(
-        moved, around, sheet, flat_depth(mask), 0 * known, 0 * known, lengths.around(errors)
+        moved, around, sheet, flat_depth(mask), 0 * known, 0 * known, 0 * known, lengths.around(errors)
     )
     first = lengths.guessed(
-        moved, around, sheet, flat_depth(mask), 0 * known, 0 * known, usual_errors(len(lengths.links))
+        moved,
+        around,
+        sheet,
+        flat_depth(mask),
+        0 * known,
+        0 * known,
+        0 * known,
+        usual_errors(len(lengths.links)),
     )
     across = np.ptp(np.sign(lengths.centres[lengths.links][:, :, 0] - 64), axis=1) > 0
     far = np.abs(lengths.middles[:, 0] - 64) > 40

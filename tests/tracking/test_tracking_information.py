@@ -9,7 +9,8 @@ import pytest
 from tests.tracking.wrinkled_video import WrinkledVideo
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, NormalMap
-from vntoolkit.tracking.guess_errors import usual_errors
+from vntoolkit.tracking.covering import Covering
+from vntoolkit.tracking.guess_errors import GuessErrors, usual_errors
 from vntoolkit.tracking.lattice import LocalJacobians, TemplateLattice, lattice_on_template
 from vntoolkit.tracking.lengths import LinkLengths, share_right
 from vntoolkit.tracking.outline import Outline, outline_of_figure, signed_distance
@@ -317,7 +318,14 @@ def test_a_surface_may_slip_behind_an_occluding_contour_and_hangs_together_elsew
         around = LocalJacobians(lattice, still).of(still)
         known = np.ones(lattice.count)
         guess = lengths.guessed(
-            still, around, slopes, flat_depth(mask), 0 * known, known, usual_errors(len(lengths.links))
+            still,
+            around,
+            slopes,
+            flat_depth(mask),
+            0 * known,
+            0 * known,
+            known,
+            usual_errors(len(lengths.links)),
         )
         variance, torn = guess.variance, guess.torn
         across = np.abs(lengths.along[:, 0]) > 4
@@ -342,7 +350,10 @@ def flat_lengths() -> tuple[np.ndarray, np.ndarray, TemplateLattice, LinkLengths
 
 
 def test_lengths_hold_where_the_surface_is_seen_and_a_body_moves_it_where_it_is_not() -> None:
-    """A part of a rigid sheet is read off another slope; or it is hidden, or nothing is known."""
+    """A part of a rigid sheet is read off another slope; or it is covered, or nothing is known.
+
+    What does not match and is not covered has slipped: lengths hold there.
+    """
     mask, pixels, lattice, lengths = flat_lengths()
     known = (lengths.centres[:, 0] < 84).astype(np.float64)
     around = LocalJacobians(lattice, pixels).of(pixels)
@@ -351,21 +362,55 @@ def test_lengths_hold_where_the_surface_is_seen_and_a_body_moves_it_where_it_is_
     nothing = np.where(part[..., None], np.float32(0.0), sloping)
     at_part = (lengths.centres[lengths.links][:, :, 0] > 92).all(axis=1) & (np.abs(lengths.along[:, 0]) > 4)
 
-    def off(slopes: np.ndarray, hidden: float) -> float:
+    def off(slopes: np.ndarray, hidden: float, behind: float) -> float:
         guess = lengths.guessed(
             pixels,
             around,
             slopes,
             flat_depth(mask),
             hidden * (1.0 - known),
+            behind * (1.0 - known),
             known,
             usual_errors(len(lengths.links)),
         )
         return float(np.median(np.abs(guess.steps - lengths.along)[at_part, 0]))
 
-    assert off(sloping, 0.0) > 0.8 * 8.0 * (1.0 - 1.0 / np.hypot(1.0, 0.6))  # it may have turned
-    assert off(sloping, 1.0) < 0.1
-    assert off(nothing, 0.0) < 0.1
+    turned = 8.0 * (1.0 - 1.0 / np.hypot(1.0, 0.6))
+    assert off(sloping, 0.0, 0.0) > 0.8 * turned
+    assert off(sloping, 1.0, 0.0) > 0.8 * turned
+    assert off(sloping, 1.0, 1.0) < 0.1
+    assert off(nothing, 0.0, 0.0) < 0.1
+
+
+def test_lengths_are_read_between_the_nodes_of_a_link_so_that_a_narrow_fold_is_not_smoothed_away() -> None:
+    mask, pixels, lattice, lengths = flat_lengths()
+    first, second = np.sort(lengths.centres[lengths.links][:, :, 0], axis=1).T
+    left = np.unique(first)[6]
+    share = 1.0 / np.hypot(1.0, 1.5)  # of its length is left of the fold, which is as wide as a link
+    fold = (first == left) & (second > left)
+    u = pixels[:, 0]
+    moved = pixels - np.stack([(1.0 - share) * np.clip(u - left, 0.0, 8.0), 0 * u], axis=1)
+    steep = (GRID[..., 0] >= left) & (GRID[..., 0] < left + 8.0 * share)
+    slopes = slopes_from_normals(normals(np.where(steep, 1.5, 0.0), np.zeros(mask.shape), mask), CAMERA)
+    around = LocalJacobians(lattice, pixels).of(moved)
+    steps, *_ = lengths._by_lengths(moved, around, slopes, flat_depth(mask))
+    assert np.median(steps[fold, 0]) == pytest.approx(8.0 * share, abs=0.8)  # 6.2 by the cells at its ends
+
+
+def test_what_lies_behind_another_part_that_matches_better_is_covered() -> None:
+    _, pixels, lattice, lengths = flat_lengths()
+    left = lengths.centres[:, 0] < 64
+    onto = pixels - np.stack([np.where(left[lattice.node_of_vertex], 0.0, 56.0), 0 * pixels[:, 0]], axis=1)
+    covering = Covering(lattice, CAMERA)
+    match = np.where(left, 0.8, 0.2)
+    assert covering.of(pixels, match).max() == 0.0
+    far = np.abs(lengths.centres[:, 0] - 64) > 28  # of one another, where they meet
+    np.testing.assert_array_equal(covering.of(onto, match)[far], np.where(left, 0.0, 1.0)[far])
+    np.testing.assert_array_equal(covering.of(onto, 1.0 - match)[far], np.where(left, 1.0, 0.0)[far])
+    assert covering.of(pixels + np.array([4 * WIDTH, 0]), match).min() == 1.0
+    folded = np.column_stack([64.0 + 0.1 * (pixels[:, 0] - 64.0), pixels[:, 1]])
+    assert covering.of(folded, match).max() > 0.0
+    assert covering.of(64.0 + 0.5 * (pixels - 64.0), match).max() == 0.0  # near on the surface, and steep
 
 
 def test_lengths_err_by_a_share_of_what_is_left_of_them_in_the_image() -> None:
@@ -446,6 +491,7 @@ def test_a_place_that_departs_farther_than_the_whole_sheet_does_is_doubted() -> 
             unseen,
             flat_depth(mask),
             0 * known,
+            0 * known,
             known,
             usual_errors(len(lengths.links)),
         )
@@ -470,6 +516,7 @@ def test_the_body_is_guessed_less_surely_where_it_moves_beside_the_whole() -> No
         np.zeros((*mask.shape, 3), np.float32),
         flat_depth(mask),
         0 * known,
+        0 * known,
         known,
         usual_errors(len(lengths.links)),
     )
@@ -478,6 +525,30 @@ def test_the_body_is_guessed_less_surely_where_it_moves_beside_the_whole() -> No
     left, right = lengths.middles[:, 0] < 40.0, lengths.middles[:, 0] > 88.0
     assert np.median(more[left]) > 1.3 * np.median(more[right])
     assert np.median(more[right]) == pytest.approx(1.0, abs=0.15)
+
+
+def test_what_is_guessed_beside_the_whole_is_less_sure_than_what_is_measured_there() -> None:
+    """A sheet makes waves all over, and the left of it is measured."""
+    mask, pixels, lattice, lengths = flat_lengths()
+    u, v = (pixels - [64.0, 48.0]).T
+    moved = pixels + np.stack([0 * u, 4.0 * np.sin(v / 12.0) * np.sin(u / 15.0)], axis=1)
+    around, hidden = LocalJacobians(lattice, pixels).of(moved), np.zeros(lattice.count)
+    known = (lengths.centres[:, 0] < 72).astype(np.float64)
+    links = len(lengths.links)
+    guess = lengths.guessed(
+        moved,
+        around,
+        np.zeros((*mask.shape, 3), np.float32),
+        flat_depth(mask),
+        hidden,
+        hidden,
+        known,
+        GuessErrors(body=np.full(links, 1e-3), lengths=np.ones(links)),
+    )
+    ends = known[lengths.links]
+    beyond = (ends.max(axis=1) == 0) & (lengths.middles[:, 0] < 90)
+    strain = guess.body.strain
+    assert np.median(strain[beyond]) > 2.0 * np.median(strain[ends.min(axis=1) == 1])
 
 
 def test_the_distance_to_an_outline_has_its_sign_and_size() -> None:

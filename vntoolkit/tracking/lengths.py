@@ -9,14 +9,16 @@ Two guesses, each by how well it does where the nodes around are measured:
 - The whole moves as one body, and a place as what is measured beside it (`body_motion`). It is right for an
   ear behind the cheek's rim.
 
-Lengths are read where a node is believed to be. Where the surface is hidden there, or the node has slipped,
-they are another surface's. So they are right with some probability only: the less, the worse they agree with
-the body, by what either may err.
+Lengths are read where a node is believed to be, from what lies between the two nodes (`surface_metric`).
+Where another part lies in front (`covering`), or the node has slipped, they are another surface's. So they
+are right with some probability only: the less, the worse they agree with the body, by what either may err. A
+node that matches badly and is not covered has slipped, mostly by little: its lengths count.
 
 One variance does not do for all places: by that of a torso that hardly bends, the flank beside a raised arm
 is foretold too surely. So what is guessed beside the whole varies more where the guesses around are large, as
-in a Student-t process (`shah2014`). More is then left to lengths. How far either guess errs at a place is
-also learnt from the frames before (`guess_errors`).
+in a Student-t process (`shah2014`). It may also be wrong altogether, by as much as it departs from the whole,
+up to what is usual: where a fold begins, what is measured beside it foretells the contrary. More is then left
+to lengths. How far either guess errs at a place is also learnt from the frames before (`guess_errors`).
 
 Where the two differ, which of them holds is a doubt that all links share. So is whether a place moves beside
 the whole as it seems to, the more, the farther that is beyond what the body departs from the whole elsewhere:
@@ -36,7 +38,8 @@ from vntoolkit.geometry.maps import HALF_WEIGHT_DEG, DepthMap
 from vntoolkit.tracking.body_motion import BodyMotion, FittedField
 from vntoolkit.tracking.guess_errors import Guess, GuessErrors, usual_errors
 from vntoolkit.tracking.lattice import TemplateLattice
-from vntoolkit.tracking.slopes import Slopes, metric_sums, sample_depth
+from vntoolkit.tracking.slopes import Slopes, sample_depth
+from vntoolkit.tracking.surface_metric import MeanMetric, SurfaceMetric
 from vntoolkit.tracking.template import TrackingTemplate
 
 STRAIN_PASSES = 4  # of lattice smoothing: strain that is not foreseen goes on over some cells
@@ -94,13 +97,15 @@ class LinkLengths:
         self._square = np.sum(self.along**2, axis=1)
         self.middles = self.centres[self.links].mean(axis=1)
         self._depth = template.vertices_in_camera[:, 2]
-        metric, recedes, self._seen = self._metric(
+        self._metric = SurfaceMetric(
+            lattice, camera, template.positions_px, self.centres, self.links, self.along
+        )
+        nodes, self._template = self._metric.read(
             slopes, template.positions_px, np.ones(len(template.pixels))
         )
-        self._contour = self._at_contours(metric, recedes, self.along)
-        self._root = _square_root(metric)
+        self._contour = self._at_contours(nodes, self.along)
+        self._root = self._template.root
         self._inverse_root = np.linalg.inv(self._root)
-        self._steepness = _steepness(metric)
         self._motion = BodyMotion(lattice, template, camera, self.links, self.along)
 
     def nodes(self, positions_px: Points2) -> npt.NDArray[np.float64]:
@@ -124,19 +129,21 @@ class LinkLengths:
         slopes: Slopes,
         depth_map: DepthMap,
         hidden: FloatArray,
+        behind: FloatArray,
         measured: FloatArray,
         errors: GuessErrors,
         field: FittedField | None = None,
     ) -> LinkGuess:
         """Return the steps from node to node.
 
-        around: (nodes, 4) Jacobians of positions (n, 2). hidden: (nodes,) share that is not seen. measured:
-        (nodes,) from 0 to 1, how far a node's place is known. errors: of guesses around each link, as
-        `around` returns them. field: of an earlier step in the same frame.
+        around: (nodes, 4) Jacobians of positions (n, 2). hidden: (nodes,) share that is not seen there.
+        behind: (nodes,) share of it that lies behind another part. measured: (nodes,) from 0 to 1, how far a
+        node's place is known. errors: of guesses around each link, as `around` returns them. field: of an
+        earlier step in the same frame.
         """
         a, b = self.links.T
         by_lengths, of_normals, contour, away_px = self._by_lengths(positions_px, around, slopes, depth_map)
-        in_sight = 1.0 - np.maximum(hidden[a], hidden[b])
+        in_sight = 1.0 - np.maximum(behind[a], behind[b])
         now = self.nodes(positions_px)
         reliable = (1.0 - hidden) * measured + _LEAST_RELIABLE
         tested = self.tested(hidden, measured) + _LEAST_RELIABLE
@@ -153,12 +160,13 @@ class LinkLengths:
         varies = 1.0 + self._near_mean(departs, np.ones_like(departs), 0.0) / usual
         of_field = np.sqrt(varies)[:, None, None] * field.errors
         of_body = self._near_mean(_strain(steps - by_body, square), tested, errors.body)
+        unlikely = departs / (departs + usual)
         of_body += np.square(of_field).sum(axis=(1, 2))
+        of_body += (1.0 - tested) * _SINGLE**2 * unlikely * usual  # at most what departs, and what is usual
         apart = np.sum((by_lengths - by_body) ** 2, axis=1) / square
         right = share_right((1.0 - _MISTAKEN) * in_sight, apart, of_lengths + of_body)
         share = right * of_body / (of_lengths + of_body)
         mean = share[:, None] * by_lengths + (1.0 - share)[:, None] * by_body
-        unlikely = departs / (departs + usual)
         other = [
             np.sqrt(share * (1.0 - share))[:, None] * (by_lengths - by_body),
             (_SINGLE * (1.0 - share) * np.sqrt(unlikely))[:, None] * own,
@@ -203,52 +211,37 @@ class LinkLengths:
         if self._camera.is_perspective:
             depth, found = sample_depth(depth_map.depth, depth_map.mask, positions_px)
             scale = np.where(found, depth / self._depth, 1.0)
-        metric, recedes, seen = self._metric(slopes, positions_px, scale)
-        root = _square_root(metric)
+        of_nodes, of_links = self._metric.read(slopes, positions_px, scale)
+        root = of_links.root
+        a, b = self.links.T
         sums = self._lattice.smoothed(np.hstack([around, np.ones((len(around), 1))]), _TURN_PASSES)
+        sums = sums[a] + sums[b]
         mean = (sums[:, :4] / sums[:, 4:]).reshape(-1, 2, 2)
         wanted = np.linalg.inv(root) @ _nearest_turn(root @ mean @ self._inverse_root) @ self._root
-        a, b = self.links.T
-        steps = np.einsum("eab,eb->ea", 0.5 * (wanted[a] + wanted[b]), self.along)
+        steps = np.einsum("eab,eb->ea", wanted, self.along)
         nodes = self.nodes(positions_px)
         now = nodes[b] - nodes[a]
-        weight = np.clip(np.minimum(seen, self._seen) / np.maximum(self._counts, 1), _LEAST_WEIGHT, 1.0)
+        weight = np.clip(np.minimum(of_links.weight, self._template.weight), _LEAST_WEIGHT, 1.0)
         turned = _NORMAL_ERROR**2 + np.radians(HALF_WEIGHT_DEG) ** 2 / _INDEPENDENT * (1.0 / weight - 1.0)
         # By its own length: a link that is foreshortened to a third errs by a third as many pixels.
-        errs = turned * (_steepness(metric) + self._steepness + turned)
-        strain = np.maximum(errs[a], errs[b]) * np.sum(steps**2, axis=1) / self._square
-        slope = recedes / np.maximum(seen, 1e-6)[:, None]
-        away_px = 0.5 * np.sum((slope[a] + slope[b]) * now, axis=1)
-        return steps, strain, self._at_contours(metric, recedes, now), away_px
+        errs = turned * (of_links.steepness + self._template.steepness + turned)
+        strain = errs * np.sum(steps**2, axis=1) / self._square
+        away_px = 0.5 * np.sum((of_nodes.slope[a] + of_nodes.slope[b]) * now, axis=1)
+        return steps, strain, self._at_contours(of_nodes, now), away_px
 
-    def _at_contours(
-        self, metric: FloatArray, recedes: FloatArray, steps: FloatArray
-    ) -> npt.NDArray[np.float64]:
+    def _at_contours(self, nodes: MeanMetric, steps: FloatArray) -> npt.NDArray[np.float64]:
         """(links,) squared slope by which the surface recedes and then no longer, as at an occluding contour.
 
         A crease that is as steep on either side hides nothing.
         """
-        a, b = self.links.T
         unit = steps / np.maximum(np.linalg.norm(steps, axis=1, keepdims=True), 1e-9)
         first, second = (
-            np.sign(np.sum(recedes[end] * unit, axis=1))
-            * np.sqrt(np.maximum(np.einsum("ei,eij,ej->e", unit, metric[end], unit) - 1.0, 0.0))
-            for end in (a, b)
+            np.sign(np.sum(nodes.slope[end] * unit, axis=1))
+            * np.sqrt(np.maximum(np.einsum("ei,eij,ej->e", unit, nodes.metric[end], unit) - 1.0, 0.0))
+            for end in self.links.T
         )
         onward, back = first - np.abs(second), -second - np.abs(first)
         return np.asarray(np.square(np.maximum(np.maximum(onward, back), 0.0)))
-
-    def _metric(
-        self, slopes: Slopes, positions_px: Points2, scale: FloatArray
-    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-        """(nodes, 2, 2) weighted mean of the metric over each node, sums of slopes (nodes, 2), of weights."""
-        lattice = self._lattice
-        sums = metric_sums(slopes, self._camera, positions_px, scale, lattice.node_of_vertex, lattice.count)
-        known = sums[:, 5] > 1e-6
-        means = np.where(
-            known[:, None], sums[:, [0, 1, 1, 2]] / np.maximum(sums[:, 5:], 1e-6), [1.0, 0, 0, 1.0]
-        )
-        return means.reshape(-1, 2, 2), sums[:, 3:5], sums[:, 5]
 
     def _near_mean(
         self, value: FloatArray, weight: FloatArray, prior: FloatArray | float
@@ -331,18 +324,6 @@ def _strain(difference: FloatArray, square: FloatArray) -> npt.NDArray[np.float6
     """Squared departure of a link by its squared length, by direction, bounded: beyond, it is just wrong."""
     u, v = difference.T
     return np.asarray(np.minimum((u * u + v * v) / square, 1.0))
-
-
-def _steepness(metric: FloatArray) -> npt.NDArray[np.float64]:
-    """Squared slope (m,) of a surface with metric (m, 2, 2)."""
-    return np.maximum(np.trace(metric, axis1=1, axis2=2) - 2.0, 0.0)
-
-
-def _square_root(metric: FloatArray) -> npt.NDArray[np.float64]:
-    """Return the symmetric root of positive definite (m, 2, 2), by Cayley and Hamilton."""
-    determinant = np.sqrt(np.linalg.det(metric))
-    trace = np.sqrt(metric[:, 0, 0] + metric[:, 1, 1] + 2 * determinant)
-    return np.asarray((metric + determinant[:, None, None] * np.eye(2)) / trace[:, None, None])
 
 
 def _nearest_turn(matrix: FloatArray) -> npt.NDArray[np.float64]:

@@ -20,6 +20,7 @@ from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, NormalMap
 from vntoolkit.native import njit
 from vntoolkit.tracking.body_motion import LINKS_ALIKE, FittedField
+from vntoolkit.tracking.covering import Covering
 from vntoolkit.tracking.fit_errors import FitErrors
 from vntoolkit.tracking.flow import common_shift, dense_flow
 from vntoolkit.tracking.guess_errors import usual_errors
@@ -115,6 +116,7 @@ class SurfaceFit:
             template, lattice, camera, seen.relief, pattern, seen.paint, paint_pattern
         )
         self._lengths = LinkLengths(lattice, within, camera, slopes)
+        self._covering = Covering(lattice, camera)
         self._jacobians = LocalJacobians(lattice, template.positions_px)
         self._system = LatticeSystem(self._lengths.links, lattice.count)
         self.remember(None)
@@ -183,8 +185,9 @@ class SurfaceFit:
             pull = np.einsum("nji,nj->ni", inverse, measurement.pull)
             outline, outline_pull = self._outline.measure(positions, inverse, figure)
             measured = np.minimum(1.0, information[:, 0] + information[:, 2])
+            behind = hidden * self._covering.of(positions, measurement.match)
             guess = lengths.guessed(
-                positions, around, slopes, depth_map, hidden, measured, errors_around, field
+                positions, around, slopes, depth_map, hidden, behind, measured, errors_around, field
             )
             field = guess.field
             steps = guess.steps + expected - lengths.steps(positions)
