@@ -15,7 +15,7 @@ from vntoolkit.geometry.camera import Camera
 from vntoolkit.native import njit
 from vntoolkit.tracking.lattice import TemplateLattice
 
-_CELL_PX = 4  # side of the squares of the picture that count as one place: stretched, the mesh leaves gaps
+_SQUARE_PX = 4  # side of the squares of the picture that count as one place: stretched, the mesh leaves gaps
 _SAME_PART = 3  # links: nodes so near on the surface do not hide each other, however steeply they are seen
 
 
@@ -23,12 +23,14 @@ class Covering:
     """Finds what is covered in any frame of one template."""
 
     def __init__(self, lattice: TemplateLattice, camera: Camera) -> None:
-        self._lattice = lattice
-        self._shape = (camera.height // _CELL_PX + 1, camera.width // _CELL_PX + 1)
+        """Find which nodes are near one another on the surface; camera: of the frames."""
+        self._node = lattice.node_of_vertex
+        self._vertices = np.bincount(self._node, minlength=lattice.count)
+        self._shape = (camera.height // _SQUARE_PX + 1, camera.width // _SQUARE_PX + 1)
         shape = (lattice.count, lattice.count)
         ones = np.ones(len(lattice.neighbours))
         beside = sp.csr_array((ones, lattice.neighbours, lattice.starts), shape=shape)
-        self._near = sp.csr_array(sp.eye_array(lattice.count))
+        self._near = sp.csr_array(sp.eye_array(lattice.count))  # which nodes are of the same part as each
         for _ in range(_SAME_PART):
             self._near = sp.csr_array(self._near + self._near @ beside)
         self._near.sort_indices()
@@ -38,11 +40,10 @@ class Covering:
 
         positions_px: (n, 2). match: (nodes,) how well each matches there.
         """
-        lattice, near = self._lattice, self._near
         positions = np.asarray(positions_px, dtype=np.float64)
         in_front = np.full(self._shape, -1, dtype=np.int64)
-        covered = _covered(positions, lattice.node_of_vertex, match, in_front, near.indptr, near.indices)
-        return np.asarray(covered / np.bincount(lattice.node_of_vertex, minlength=lattice.count))
+        covered = _covered(positions, self._node, match, in_front, self._near.indptr, self._near.indices)
+        return np.asarray(covered / self._vertices)
 
 
 @njit(cache=True)
@@ -50,14 +51,14 @@ def _covered(positions, node, match, in_front, starts, near):  # type: ignore[no
     """Vertices (nodes,) that are covered; in_front: (h, w), all −1, is overwritten."""
     h, w = in_front.shape
     for i in range(len(positions)):
-        u, v = np.floor(positions[i, 0] / _CELL_PX), np.floor(positions[i, 1] / _CELL_PX)
+        u, v = np.floor(positions[i, 0] / _SQUARE_PX), np.floor(positions[i, 1] / _SQUARE_PX)
         if 0 <= u < w and 0 <= v < h:
             best = in_front[int(v), int(u)]
             if best < 0 or match[node[i]] > match[best]:
                 in_front[int(v), int(u)] = node[i]
     covered = np.zeros(len(match))
     for i in range(len(positions)):
-        u, v = np.floor(positions[i, 0] / _CELL_PX), np.floor(positions[i, 1] / _CELL_PX)
+        u, v = np.floor(positions[i, 0] / _SQUARE_PX), np.floor(positions[i, 1] / _SQUARE_PX)
         own, before = node[i], -1
         if 0 <= u < w and 0 <= v < h:
             before = in_front[int(v), int(u)]

@@ -100,11 +100,11 @@ class LinkLengths:
         self._metric = SurfaceMetric(
             lattice, camera, template.positions_px, self.centres, self.links, self.along
         )
-        nodes, self._template = self._metric.read(
+        nodes, self._template_metric = self._metric.read(
             slopes, template.positions_px, np.ones(len(template.pixels))
         )
         self._contour = self._at_contours(nodes, self.along)
-        self._root = self._template.root
+        self._root = self._template_metric.root
         self._inverse_root = np.linalg.inv(self._root)
         self._motion = BodyMotion(lattice, template, camera, self.links, self.along)
 
@@ -162,7 +162,7 @@ class LinkLengths:
         of_body = self._near_mean(_strain(steps - by_body, square), tested, errors.body)
         unlikely = departs / (departs + usual)
         of_body += np.square(of_field).sum(axis=(1, 2))
-        of_body += (1.0 - tested) * _SINGLE**2 * unlikely * usual  # at most what departs, and what is usual
+        of_body += (1.0 - tested) * _SINGLE**2 * unlikely * usual  # unlikely * usual: below both variances
         apart = np.sum((by_lengths - by_body) ** 2, axis=1) / square
         right = share_right((1.0 - _MISTAKEN) * in_sight, apart, of_lengths + of_body)
         share = right * of_body / (of_lengths + of_body)
@@ -221,10 +221,10 @@ class LinkLengths:
         steps = np.einsum("eab,eb->ea", wanted, self.along)
         nodes = self.nodes(positions_px)
         now = nodes[b] - nodes[a]
-        weight = np.clip(np.minimum(of_links.weight, self._template.weight), _LEAST_WEIGHT, 1.0)
+        weight = np.clip(np.minimum(of_links.weight, self._template_metric.weight), _LEAST_WEIGHT, 1.0)
         turned = _NORMAL_ERROR**2 + np.radians(HALF_WEIGHT_DEG) ** 2 / _INDEPENDENT * (1.0 / weight - 1.0)
         # By its own length: a link that is foreshortened to a third errs by a third as many pixels.
-        errs = turned * (of_links.steepness + self._template.steepness + turned)
+        errs = turned * (of_links.steepness + self._template_metric.steepness + turned)
         strain = errs * np.sum(steps**2, axis=1) / self._square
         away_px = 0.5 * np.sum((of_nodes.slope[a] + of_nodes.slope[b]) * now, axis=1)
         return steps, strain, self._at_contours(of_nodes, now), away_px
