@@ -17,8 +17,9 @@ node that matches badly and is not covered has slipped, mostly by little: its le
 One variance does not do for all places: by that of a torso that hardly bends, the flank beside a raised arm
 is foretold too surely. So what is guessed beside the whole varies more where the guesses around are large, as
 in a Student-t process (`shah2014`). It may also be wrong altogether, by as much as it departs from the whole,
-up to what is usual: where a fold begins, what is measured beside it foretells the contrary. More is then left
-to lengths. How far either guess errs at a place is also learnt from the frames before (`guess_errors`).
+within two standard deviations: where a fold begins, what is measured beside it foretells the contrary. More
+is then left to lengths. How far either guess errs at a place is also learnt from the frames before
+(`guess_errors`).
 
 Where the two differ, which of them holds is a doubt that all links share. So is whether a place moves beside
 the whole as it seems to, the more, the farther that is beyond what the body departs from the whole elsewhere:
@@ -49,7 +50,7 @@ _STRAIN = 0.07  # standard deviation of stretch, where none is measured: cloth h
 _PRIOR_LINKS = 0.2  # measured links nearby that the two count for
 _NEAR_PASSES = 8  # of lattice smoothing: how far around a guess's success counts
 _NORMAL_ERROR = 0.05  # radians: shading that departs from the model turns normals by 3°
-_INDEPENDENT = 20.0  # errors by weight in a cell: alike over some pixels, they average out over the rest
+_INDEPENDENT = 3.0  # errors by weight in a cell: light that is not foreseen turns most of its normals alike
 _MISTAKEN = 0.05  # share of lengths that are another surface's where nothing is known to be hidden
 _SLOW_DEGREE = 2  # of the polynomials in place that vary slowly
 _TURN = 0.1  # standard deviation of a turn in one step of the fit, radians
@@ -58,6 +59,7 @@ _LEAST_WEIGHT = 1e-3  # mean of the slopes' in a cell that is divided by
 # Nine in ten errors in the plane are within √(ln 10) = 1.5 of a root mean square that is known, and within 3
 # of one that a single departure tells (F with 2 and 2 degrees of freedom).
 _SINGLE = 2.0
+_SIGMAS = 2.0  # by which a place departs from the whole elsewhere: that it does the contrary is then rare
 _LEAST_RELIABLE = 1e-4  # of a node that is not measured, in the fit of one body
 
 
@@ -162,7 +164,7 @@ class LinkLengths:
         of_body = self._near_mean(_strain(steps - by_body, square), tested, errors.body)
         unlikely = departs / (departs + usual)
         of_body += np.square(of_field).sum(axis=(1, 2))
-        of_body += (1.0 - tested) * _SINGLE**2 * unlikely * usual  # unlikely * usual: below both variances
+        of_body += (1.0 - tested) * _SINGLE**2 * np.minimum(departs, _SIGMAS**2 * field.variance)
         apart = np.sum((by_lengths - by_body) ** 2, axis=1) / square
         right = share_right((1.0 - _MISTAKEN) * in_sight, apart, of_lengths + of_body)
         share = right * of_body / (of_lengths + of_body)
