@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -433,6 +435,33 @@ def test_lengths_err_by_a_share_of_what_is_left_of_them_in_the_image() -> None:
         np.testing.assert_allclose(away_px, slope * lengths.along[:, 0], atol=0.1)
         errs.append(np.median((np.sqrt(strain) * np.hypot(*lengths.along.T) / np.hypot(*steps.T))[across]))
     assert errs[0] == pytest.approx(errs[1], rel=0.01)
+
+
+def test_lengths_are_as_unsure_as_light_that_is_not_foreseen_makes_them() -> None:
+    """Half of an oblique sheet weighs a fifth: 24°, by which its normals are turned, alike in patches."""
+    slope, weight, turned = 1.5, 0.2, np.radians(24.0)
+    mask = np.zeros((HEIGHT, WIDTH), dtype=bool)
+    mask[8:88, 8:120] = True
+    level = np.zeros(mask.shape)
+    first = normals(level + slope, level, mask)
+    template = template_from_maps(first, flat_depth(mask), CAMERA)
+    lattice = lattice_on_template(template, 8)
+    lengths = LinkLengths(lattice, template, CAMERA, slopes_from_normals(first, CAMERA))
+    u, v = GRID[..., 0], GRID[..., 1]
+    shaded = u < 60
+    sign = np.where((u // 24 + v // 24) % 2 < 1, 1.0, -1.0) * shaded
+    now = normals(np.tan(np.arctan(slope) + turned * sign), level, mask)
+    now = replace(now, weight=np.where(shaded, weight, 1.0).astype(np.float32) * mask)
+    still = template.positions_px
+    around = LocalJacobians(lattice, still).of(still)
+    steps, strain, _, _ = lengths._by_lengths(
+        still, around, slopes_from_normals(now, CAMERA), flat_depth(mask)
+    )
+    x, y = lengths.middles.T
+    across = (np.abs(lengths.along[:, 0]) > 4) & (x > 16) & (x < 52) & (y > 16) & (y < 80)
+    departs = np.sum((steps - lengths.along) ** 2, axis=1) / np.sum(lengths.along**2, axis=1)
+    ratio = np.sqrt(departs[across].mean() / strain[across].mean())
+    assert 0.5 < ratio < 1.5
 
 
 def test_lengths_that_no_motion_of_the_body_explains_are_another_surface_s() -> None:
