@@ -59,7 +59,7 @@ _LEAST_WEIGHT = 1e-3  # mean of the slopes' in a cell that is divided by
 # Nine in ten errors in the plane are within √(ln 10) = 1.5 of a root mean square that is known, and within 3
 # of one that a single departure tells (F with 2 and 2 degrees of freedom).
 _SINGLE = 2.0
-_SIGMAS = 2.0  # by which a place departs from the whole elsewhere: that it does the contrary is then rare
+_MOST_SIGMAS = 2.0  # of what places depart from the whole by: no guess is doubted by more
 _LEAST_RELIABLE = 1e-4  # of a node that is not measured, in the fit of one body
 
 
@@ -162,13 +162,13 @@ class LinkLengths:
         varies = 1.0 + self._near_mean(departs, np.ones_like(departs), 0.0) / usual
         of_field = np.sqrt(varies)[:, None, None] * field.errors
         of_body = self._near_mean(_strain(steps - by_body, square), tested, errors.body)
-        unlikely = departs / (departs + usual)
         of_body += np.square(of_field).sum(axis=(1, 2))
-        of_body += (1.0 - tested) * _SINGLE**2 * np.minimum(departs, _SIGMAS**2 * field.variance)
+        of_body += (1.0 - tested) * _SINGLE**2 * np.minimum(departs, _MOST_SIGMAS**2 * field.variance)
         apart = np.sum((by_lengths - by_body) ** 2, axis=1) / square
         right = share_right((1.0 - _MISTAKEN) * in_sight, apart, of_lengths + of_body)
         share = right * of_body / (of_lengths + of_body)
         mean = share[:, None] * by_lengths + (1.0 - share)[:, None] * by_body
+        unlikely = departs / (departs + usual)
         other = [
             np.sqrt(share * (1.0 - share))[:, None] * (by_lengths - by_body),
             (_SINGLE * (1.0 - share) * np.sqrt(unlikely))[:, None] * own,
