@@ -471,6 +471,24 @@ def test_lengths_that_no_motion_of_the_body_explains_are_another_surface_s() -> 
     assert share_right(0.0 * before, np.zeros(3), variance).max() == 0.0
 
 
+def test_an_outline_between_two_cells_tells_no_more_than_one_within_a_cell() -> None:
+    told = []
+    for bottom in (80, 81):  # the border's pixels are rows 78 and 79, of one cell, or 79 and 80, of two
+        mask = np.zeros((HEIGHT, WIDTH), dtype=bool)
+        mask[16:bottom, 24:104] = True
+        sheet = normals(np.zeros(mask.shape), np.zeros(mask.shape), mask)
+        template = template_from_maps(sheet, flat_depth(mask), CAMERA)
+        lattice = lattice_on_template(template, 8)
+        figure = outline_of_figure(mask, slopes_from_normals(sheet, CAMERA))
+        unturned = np.broadcast_to(np.eye(2), (lattice.count, 2, 2))
+        information, _ = Outline(template, lattice, figure).measure(template.positions_px, unturned, figure)
+        column, row = lattice.cells.T
+        below = (column > 4) & (column < 11) & (row >= 9)
+        assert len(np.unique(row[below & (information[:, 2] > 1.0)])) == bottom - 79
+        told.append(information[below, 2].sum())
+    assert told[1] == pytest.approx(told[0], rel=0.1)
+
+
 def test_a_border_that_may_be_a_contour_hardly_follows_the_outline() -> None:
     mask = np.zeros((HEIGHT, WIDTH), dtype=bool)
     mask[8:88, 30:90] = True

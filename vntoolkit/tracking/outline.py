@@ -23,13 +23,14 @@ from vntoolkit.tracking.lattice import TemplateLattice
 from vntoolkit.tracking.slopes import Slopes, sample_image
 from vntoolkit.tracking.template import TrackingTemplate
 
-_SIGMA_PX = 0.25  # of the outline at one node: pixels are whole
+_SIGMA_PX = 0.3  # of the outline along one cell: pixels are whole
 # Cosine to the viewing ray at the outline: from an occluding contour, which slides, to a border. Its square
 # falls to 0 at a contour, in proportion to the distance: it is measured in two boxes and extrapolated.
 _OPEN_FACING = (0.35, 0.6)
 _BOXES_PX = (7, 15)
 _PER_BOX = np.float32(_BOXES_PX[0] / (_BOXES_PX[1] - _BOXES_PX[0]))
 _HALF_OPEN = 0.5
+_BAND_PX = 2.0  # of vertices that are the border
 _BORDER_PX = 4  # beside the image's own border there is no outline
 _SMALL_HOLE_PX = 200  # area of holes that are no part of the outline
 _NARROW_GAP_PX = 9  # width of gaps that are none either: dark pixels, as between strands of hair, come and go
@@ -56,7 +57,7 @@ class Outline:
         """Find the border; figure: (h, w, 4) of the template's frame, as `outline_of_figure` returns it."""
         self._lattice, self._pixels = lattice, template.positions_px
         at = sample_image(figure, self._pixels)
-        border = np.flatnonzero(at[:, 0] > -2.0)
+        border = np.flatnonzero(at[:, 0] > -_BAND_PX)
         h, w = figure.shape[:2]
         p = self._pixels[border]
         inside = np.all((p >= _BORDER_PX) & (p <= [w - 1 - _BORDER_PX, h - 1 - _BORDER_PX]), axis=1)
@@ -114,7 +115,8 @@ class Outline:
             )
             * robust[:, None]
         )
-        number = np.maximum(np.bincount(node, minlength=count), 8.0)
+        # The band may lie across two cells: either then has its part of what one outline tells.
+        number = np.maximum(np.bincount(node, minlength=count), _BAND_PX * self._lattice.cell_px)
         sums = np.stack([np.bincount(node, terms[:, k], minlength=count) / number for k in range(5)], axis=1)
         return sums[:, :3], sums[:, 3:]
 
