@@ -56,7 +56,7 @@ _SURE = 5.0  # standard deviations of a correlation by chance: there are some 30
 _KNOWN_PX = 4.0  # error by the finest relief around, at which half of the slide remains possible
 _PATTERN_PX = 2.0  # of the band, and of motion: a fixed pattern has nothing in common with itself farther off
 _PATTERN_VARIES = 2.0  # power of it in a window over that in the windows around, at most
-_FEW_NODES = 5.0  # variance of a step over that of its nodes' pulls: not all of them move alike
+_FEW_NODES = 4.0  # variance of a step over that of its nodes' pulls: two by two nodes err alike
 
 
 class Windows(NamedTuple):
