@@ -122,7 +122,7 @@ class LiveProcessor:
 
         self._processor = processor()
         lanes = [self._processor]
-        if self._processor.frames_stand_alone and self._key is None and loops_may_overlap():
+        if self._processor.finds_shadows and self._key is None and loops_may_overlap():
             lanes.append(processor())
         self.lanes = tuple(partial(self._begin, lane) for lane in lanes)
         self._step = max(1, -(-max(self.camera.width, self.camera.height) // depth_px))

@@ -1,4 +1,4 @@
-"""Work on a block of frames in one process: four threads, each a frame ahead of the next; smoothing."""
+"""Work on a block of frames in one process: five threads, each a frame ahead of the next; smoothing."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from vntoolkit.native import loops_may_overlap, njit
 from vntoolkit.photometry.frame import ALL_LIT
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import Transfer
-from vntoolkit.pipeline.frame_processor import FrameProcessor
+from vntoolkit.pipeline.frame_processor import FrameProcessor, SeenFrame
 from vntoolkit.pipeline.options import DepthOffset, OnError, Product, ReconstructOptions
 from vntoolkit.pipeline.outputs import FrameResult, ReconstructionFolder
 from vntoolkit.pipeline.painted_surface import PaintedSurface, TrackedReflectance
@@ -131,8 +131,7 @@ class BlockWorker:
         self._mattes = job.open_mattes(self._capture)
         self._processor = self._new_processor()
         self._lanes = [self._processor]  # each finds the normals of one frame at a time
-        is_alone = self._processor.frames_stand_alone and not self._mattes.changes
-        if is_alone and job.threads > 1 and loops_may_overlap():
+        if self._processor.finds_shadows and job.threads > 1 and loops_may_overlap():
             self._lanes.append(self._new_processor())
         reference = job.options.reference_frame
         if job.ties_depth and reference is not None:
@@ -179,39 +178,47 @@ class BlockWorker:
             ) as second,
         ):
             shown = (
-                frame for frame in read_ahead(frames, waiting) if not self._mattes.missing([frame.number])
+                self._with_light(frame)
+                for frame in read_ahead(frames, waiting)
+                if not self._mattes.missing([frame.number])
             )
             finders = [partial(self._with_normals, lane) for lane in self._lanes]
-            for _, begun in side_by_side(shown, finders):
+            for _, begun in side_by_side(read_ahead(shown, meanwhile), finders):
                 second.put(begun.result())
                 while written:
                     yield written.pop(0)
         yield from written
 
-    def _with_normals(self, processor: FrameProcessor, frame: EncodedFrame) -> _FrameAtWork:
-        def normals() -> FrameResult:
+    def _with_light(self, frame: EncodedFrame) -> _FrameAtWork:
+        def seen(begun: _FrameAtWork) -> _FrameAtWork:
             matte = self._mattes.of(frame) if self._mattes.changes else None
-            return processor.normals(frame, matte)
+            return replace(begun, seen=self._processor.seen(frame, matte))
 
-        return self._tried(normals, _FrameAtWork(frame=frame))
+        return self._tried(seen, _FrameAtWork(frame=frame))
+
+    def _with_normals(self, processor: FrameProcessor, begun: _FrameAtWork) -> _FrameAtWork:
+        seen = begun.seen
+        if seen is None:
+            return begun
+        return self._tried(lambda to: replace(to, seen=None, result=processor.normals_of(seen)), begun)
 
     def _with_surface(self, begun: _FrameAtWork) -> _FrameAtWork:
         result = begun.result
         if result is None:
             return begun
-        return self._tried(lambda: self._processor.with_surface(result, begun.frame), begun)
+        return self._tried(
+            lambda to: replace(to, result=self._processor.with_surface(result, to.frame)), begun
+        )
 
-    def _tried(self, work: Callable[[], FrameResult], before: _FrameAtWork) -> _FrameAtWork:
+    def _tried(self, work: Callable[[_FrameAtWork], _FrameAtWork], before: _FrameAtWork) -> _FrameAtWork:
         started = time.perf_counter()
-        result, failure = None, ""
         try:
-            result = work()
+            done = work(before)
         except VntError as error:
             if self._job.options.on_error is OnError.STOP:
                 raise
-            failure = str(error)
-        seconds = before.seconds + time.perf_counter() - started
-        return replace(before, result=result, seconds=seconds, failure=failure)
+            done = replace(before, seen=None, result=None, failure=str(error))
+        return replace(done, seconds=before.seconds + time.perf_counter() - started)
 
     def _written(self, done: _FrameAtWork) -> FrameEntry:
         started = time.perf_counter()
@@ -226,6 +233,7 @@ class _FrameAtWork:
     """What a frame became so far, None for what failed; the seconds spent on it; and why it failed."""
 
     frame: EncodedFrame
+    seen: SeenFrame | None = None
     result: FrameResult | None = None
     seconds: float = 0.0
     failure: str = ""
@@ -257,8 +265,9 @@ def _median_error(normal_map: NormalMap) -> float | None:
     return float(np.median(errors)) if errors.size else None
 
 
-# Reading, normals, surfaces and writing run in a thread each, with bounded queues between them, since few of
-# the steps keep two cores busy. Normals under shadow owe nothing to the frame before: two are found at once.
+# Reading, light and materials, normals, surfaces and writing run in a thread each, with bounded queues between
+# them, since few of the steps keep two cores busy. Materials go on from the frame before. Normals under shadow
+# owe it nothing: two frames are at work at once.
 
 
 def side_by_side(

@@ -1,9 +1,10 @@
 """One frame: from stored samples to normals, depth and a mesh (brostow2011, Section III-B)."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from vntoolkit.arrays import BoolArray, Colours, FloatArray, LinearImage, Mask, VisibilityLabels
 from vntoolkit.checks import require_shape
@@ -37,6 +38,22 @@ from vntoolkit.shadows.lamp_directions import LampDirections, directions_from_sh
 from vntoolkit.shadows.recovery import recover_surface
 
 _SAMPLES = (slice(None, None, 4),) * 2  # these pixels tell how bright a subject is
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SeenFrame:
+    """A frame in linear light and, where the subject's materials are known, as if all were the rig's.
+
+    mask: (h, w), pixels of interest. linear: None where one loop decodes and inverts the frame. materials:
+    (h, w), their numbers; None where all is the rig's. turned_deg: (h, w), root mean square angles by which
+    what is not known of the materials turns normals; None for 0.
+    """
+
+    frame: EncodedFrame
+    mask: Mask
+    linear: LinearFrame | None = None
+    materials: MaterialLabels | None = None
+    turned_deg: npt.NDArray[np.float32] | None = None
 
 
 class FrameProcessor:
@@ -102,7 +119,6 @@ class FrameProcessor:
         self._detector = ShadowDetector(self._central, options.shadows, self.camera)
         self._reflectances = np.array(reflectances, dtype=np.float64).reshape(-1, 3)
         self._painted = painted
-        self._materials: MaterialLabels | None = None
         self._labeller: MaterialLabeller | None = None
         if len(self._reflectances):
             self._labeller = MaterialLabeller(
@@ -115,16 +131,14 @@ class FrameProcessor:
             )
 
     @property
-    def frames_stand_alone(self) -> bool:
-        """True where a frame's normals take long and owe nothing to the frame before."""
-        is_shadowed = self._options.shadows is not ShadowMethod.NONE
-        return is_shadowed and self._gel is None and self._labeller is None and self._painted is None
+    def finds_shadows(self) -> bool:
+        """True where `normals_of` takes long. Then it owes nothing to the frame before."""
+        return self._options.shadows is not ShadowMethod.NONE and self._gel is None
 
     def anchor_to(self, frame: EncodedFrame, matte: Mask | None = None) -> None:
         """Tie the depth of all later frames to this one's; see `DepthAnchor`. Raises as `process` does."""
         self.forget()
-        self._look_inside(matte)
-        result = self._normals(frame)
+        result = self._normals(self.seen(frame, matte))
         if result.normal_map.mask.any():
             self._anchor = DepthAnchor(self._integrated(result))
         self.forget()
@@ -145,8 +159,14 @@ class FrameProcessor:
 
     def normals(self, frame: EncodedFrame, matte: Mask | None = None) -> FrameResult:
         """The first half of `process`: normals and labels."""
-        self._look_inside(matte)
-        result = self._normals(frame)
+        return self.normals_of(self.seen(frame, matte))
+
+    def normals_of(self, seen: SeenFrame) -> FrameResult:
+        """The second step of `normals`, which frames may take in any order, several at a time.
+
+        Each of them needs a processor of its own.
+        """
+        result, frame = self._normals(seen), seen.frame
         if not result.normal_map.mask.any():
             raise BadCapture(
                 f"{frame.name}: no usable pixel: all are black, clipped or outside the mask; "
@@ -181,110 +201,102 @@ class FrameProcessor:
         if matte is not None:
             self._mask = self._whole_mask & self._resampler.mask(matte)
 
-    def _normals(self, frame: EncodedFrame) -> FrameResult:
+    def seen(self, frame: EncodedFrame, matte: Mask | None = None) -> SeenFrame:
+        """The first step of `normals`: light, and materials, which go on from the frame before.
+
+        Frames come in order.
+        """
         require_shape(frame.values, (*self._rig.footage_size[::-1], 3), frame.name)
-        residual_deg = self._residual_deg
+        self._look_inside(matte)
         if self._is_plain(frame):
-            values, transfer, response = frame.values, self._rig.transfer, self._rig.response
-            if self._with_errors:
-                normal_map, clipped_share = expected_error.normals_and_errors_from_encoded(
-                    values, response, transfer, self._mask, camera=self.camera,
-                    options=self._options.inversion, bits=frame.bits, residual_deg=residual_deg,
-                    blur_px=self._blur_px, residual_of_pixels=self._residual_of_pixels,
-                )  # fmt: skip
-                return self._result(frame, normal_map, clipped_share)
-            normal_map = normals_from_encoded(
-                values, response, transfer, self._mask, self._options.inversion, frame.bits
-            )
-            return self._result(frame, normal_map, 0.0)
-        linear = self.linear(frame)
-        if self._gel is not None and self._dots is not None:
-            change, filled = self._dots.filled(linear.rgb, linear.clipped)
-            drift = drift_of_change(change, self._mask & ~filled)
-            clipped_share = float(np.count_nonzero(linear.clipped)) / linear.clipped.size
-            normal_map = self._gel.normals(change, drift, self._mask)
-            if self._with_errors:
-                normal_map = self._gel.with_expected_error(normal_map)
-            return self._result(frame, normal_map, clipped_share)
-        filmed, turned_deg = linear, None
+            return SeenFrame(frame=frame, mask=self._mask)
+        linear = filmed = self.linear(frame)
+        materials, turned_deg = None, None
         if self._painted is not None:
             self._mask = self._mask & self._painted.mask(frame.number)
         if self._labeller is not None:
             self._mask = self.lit_subject(linear)
-            self._materials = self._labeller.labels(linear, self._mask)
-            linear = self._labeller.relit(linear, self._materials, self._mask, box_of(self._mask))
+            materials = self._labeller.labels(linear, self._mask)
+            linear = self._labeller.relit(linear, materials, self._mask, box_of(self._mask))
             turned_deg = self._labeller.turned_deg
             if self._bounds_deg.any():
-                of_material = self._bounds_deg[self._materials]
+                of_material = self._bounds_deg[materials]
                 turned_deg = of_material if turned_deg is None else np.hypot(turned_deg, of_material)
         if self._painted is not None:
-            linear = self._painted.relit(filmed, linear, frame.number, self._materials)
+            linear = self._painted.relit(filmed, linear, frame.number, materials)
             # the mean over frames is in doubt as what one frame tells: frames err alike
             told = self._painted.turned_deg
             turned_deg = told if turned_deg is None or told is None else np.maximum(told, turned_deg)
+        return SeenFrame(
+            frame=frame, mask=self._mask, linear=linear, materials=materials, turned_deg=turned_deg
+        )
+
+    def _normals(self, seen: SeenFrame) -> FrameResult:
+        frame, mask, linear, residual_deg = seen.frame, seen.mask, seen.linear, self._residual_deg
+        if linear is None:
+            values, transfer, response = frame.values, self._rig.transfer, self._rig.response
+            if self._with_errors:
+                normal_map, clipped_share = expected_error.normals_and_errors_from_encoded(
+                    values, response, transfer, mask, camera=self.camera,
+                    options=self._options.inversion, bits=frame.bits, residual_deg=residual_deg,
+                    blur_px=self._blur_px, residual_of_pixels=self._residual_of_pixels,
+                )  # fmt: skip
+                return _result(seen, normal_map, clipped_share)
+            normal_map = normals_from_encoded(
+                values, response, transfer, mask, self._options.inversion, frame.bits
+            )
+            return _result(seen, normal_map, 0.0)
+        clipped_share = float(np.count_nonzero(linear.clipped)) / linear.clipped.size
+        if self._gel is not None and self._dots is not None:
+            change, filled = self._dots.filled(linear.rgb, linear.clipped)
+            drift = drift_of_change(change, mask & ~filled)
+            normal_map = self._gel.normals(change, drift, mask)
+            if self._with_errors:
+                normal_map = self._gel.with_expected_error(normal_map)
+            return _result(seen, normal_map, clipped_share)
         labels, lamps, has_shadows = None, None, self._options.shadows is not ShadowMethod.NONE
         level = linear
         if self._leveller is not None and (has_shadows or self._with_errors):
             level = self._leveller.frame(linear)
         if has_shadows:
-            normal_map, labels, lamps = self._normals_under_shadow(linear, level)
+            normal_map, labels, lamps = self._normals_under_shadow(linear, level, mask)
         else:
-            normal_map = normals_from_frame(
-                linear, self._rig.response, self._mask, options=self._options.inversion
-            )
-        clipped_share = float(np.count_nonzero(linear.clipped)) / linear.clipped.size
+            normal_map = normals_from_frame(linear, self._rig.response, mask, options=self._options.inversion)
         if self._with_errors:
             response = self._central if lamps is None else lamps.separated
             normal_map = expected_error.with_expected_error(
                 normal_map, level, response, None if lamps is None else labels, self.camera, residual_deg,
                 self._blur_px, self._residual_of_pixels,
             )  # fmt: skip
-            if turned_deg is not None:
-                normal_map = expected_error.with_doubt(normal_map, turned_deg)
-        return self._result(frame, normal_map, clipped_share, labels, lamps)
-
-    def _result(
-        self,
-        frame: EncodedFrame,
-        normal_map: NormalMap,
-        clipped_share: float,
-        labels: VisibilityLabels | None = None,
-        lamps: LampDirections | None = None,
-    ) -> FrameResult:
-        return FrameResult(
-            number=frame.number,
-            normal_map=normal_map,
-            depth_map=None,
-            labels=labels,
-            mesh=None,
-            clipped_share=clipped_share,
-            materials=self._materials,
-            lamps=lamps,
-        )
+            if seen.turned_deg is not None:
+                normal_map = expected_error.with_doubt(normal_map, seen.turned_deg)
+        return _result(seen, normal_map, clipped_share, labels, lamps)
 
     def unlit_by_lamp(self, frame: EncodedFrame, matte: Mask | None = None) -> list[FloatArray]:
         """Return for each lamp (n, 3), what tells its direction: see `shadows/lamp_directions.py`."""
         self._look_inside(matte)
         linear = self.linear(frame)
         level = linear if self._leveller is None else self._leveller.frame(linear)
-        labels, mask, _ = self._shadows(linear, level)
+        labels, mask, _ = self._shadows(linear, level, self._mask)
         return unlit_by_lamp(level, labels, self._central, mask)
 
-    def _shadows(self, linear: LinearFrame, frame: LinearFrame) -> tuple[VisibilityLabels, Mask, LinearFrame]:
+    def _shadows(
+        self, linear: LinearFrame, frame: LinearFrame, mask: Mask
+    ) -> tuple[VisibilityLabels, Mask, LinearFrame]:
         """Return labels, where they hold, and what they were found in. frame: as the central M forms it."""
         inversion, seen = self._options.inversion, self.by_strength(linear)
         darkest = inversion.darkest * inversion.relative_albedo
-        mask = brighter_than(frame, self._central, darkest, self._mask)
+        mask = brighter_than(frame, self._central, darkest, mask)
         if inversion.clipped_factor == 0.0:
             mask &= ~frame.clipped
         return self._detector.labels(seen, mask), mask, seen
 
     def _normals_under_shadow(
-        self, linear: LinearFrame, frame: LinearFrame
+        self, linear: LinearFrame, frame: LinearFrame, mask: Mask
     ) -> tuple[NormalMap, VisibilityLabels, LampDirections | None]:
         """Find shadows, then normals; lamps if by a surface. frame: `linear` as the central M forms it."""
         response, inversion = self._central, self._options.inversion
-        labels, mask, seen = self._shadows(linear, frame)
+        labels, mask, seen = self._shadows(linear, frame, mask)
         surface = self._detector.surface
         if surface is None and not np.any(labels != ALL_LIT):
             return normals_from_frame(frame, response, mask, options=inversion), labels, None
@@ -353,3 +365,22 @@ class FrameProcessor:
             return shown
         nothing: BoolArray = np.zeros(shown.shape[:2], dtype=np.bool_)
         return self._resampler.frame(LinearFrame(rgb=shown, clipped=nothing)).rgb
+
+
+def _result(
+    seen: SeenFrame,
+    normal_map: NormalMap,
+    clipped_share: float,
+    labels: VisibilityLabels | None = None,
+    lamps: LampDirections | None = None,
+) -> FrameResult:
+    return FrameResult(
+        number=seen.frame.number,
+        normal_map=normal_map,
+        depth_map=None,
+        labels=labels,
+        mesh=None,
+        clipped_share=clipped_share,
+        materials=seen.materials,
+        lamps=lamps,
+    )
