@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy import ndimage
 from scipy.ndimage import gaussian_filter
 
 from vntoolkit.errors import BadInput
@@ -529,15 +530,20 @@ def test_how_far_paint_turned_normals_is_how_far_they_are_in_doubt() -> None:
     assert np.mean(doubt[wrong]) > 1.4 * np.mean(doubt[mask & (off < 1.0)])
 
 
-def test_a_surface_that_moves_is_sought_from_the_frame_before_and_anew_where_it_jumps() -> None:
+def test_a_surface_that_moves_is_sought_from_the_frame_before_and_anew_where_that_is_far() -> None:
     rgb, normals, mask = (
         np.pad(each, ((0, 0), (0, 50), (0, 0))[: each.ndim]) for each in (freckled()[0].rgb, *freckled()[1:])
     )
     line, skin = (MELANIN / np.linalg.norm(MELANIN))[None], np.array([[0.9, 0.65, 0.5]])
     following, labels = MaterialLabeller(RESPONSE, skin, line), np.zeros(mask.shape, np.uint8)
-    for shift in (0, 1, 2, 3, 40):
-        seen, there, inside = (np.roll(each, shift, axis=1) for each in (rgb, normals, mask))
-        moved, off = LinearFrame(seen), []
+    went_on = []
+    for shift in (*np.arange(0.0, 8.0, 0.4), 40.0):
+        seen, there, inside = (
+            ndimage.shift(each, (0, shift, 0)[: each.ndim], order=1)
+            for each in (rgb, normals, mask.astype(np.float32))
+        )
+        inside, off = inside > 0.99, []
+        moved = LinearFrame(seen * inside[..., None])
         followed, alone = (
             labeller.relit(moved, labels, inside)
             for labeller in (following, MaterialLabeller(RESPONSE, skin, line))
@@ -545,9 +551,12 @@ def test_a_surface_that_moves_is_sought_from_the_frame_before_and_anew_where_it_
         for each in (followed, alone):
             found = normals_from_frame(each, RESPONSE, inside).normals_in_camera
             off.append(angles_deg(found, there)[inside].mean())
-        is_first = shift in (0, 40)
-        assert np.array_equal(followed.rgb, alone.rgb) == is_first
-        assert off[0] < 1.05 * off[1]
+        went_on.append(not np.array_equal(followed.rgb, alone.rgb))
+        assert off[0] < 1.03 * off[1]
+    assert not went_on[0]
+    assert not went_on[-1]
+    assert went_on[1]
+    assert not all(went_on[1:-1])  # by pieces of a block it moved farther than steps follow
 
 
 def test_a_surface_without_paint_stays_as_it_is_through_a_wide_lens_too() -> None:

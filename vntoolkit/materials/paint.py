@@ -44,8 +44,9 @@ MaterialLabels = npt.NDArray[np.uint8]
 _BLOCKS = 60_000  # of the subject; noise is finer than these, and freckles are not
 _LEVELS = 2  # coarser ones, each of half the size: a lip is wide for steps that only reach its neighbours
 _STEPS, _CYCLES = 2, 3  # of Gauss–Newton on each level, and of multigrid in each
-# Blocks that a subject moves in a frame: up to where one step from the surface before follows it, and two.
-_NEAR, _FAR = 0.5, 4.0
+# Blocks that a subject may move from where its surface was found from coarse to fine. Farther on, steps from the
+# surface before do not follow: where a nose was, light that does not fit it passes for paint.
+_NEAR = 1.0
 _TOLERANCE = 3e-3
 _REACH = 4  # blocks, from what was known of the frame before
 # Standard deviations of log ρ from which paint counts as such: across the pigment's line, and along it.
@@ -87,7 +88,7 @@ def without_paint(
     labels: (h, w), numbers of the materials. rho: (m, 3), their reflectances. lines: (m, 3), of length 1,
     their pigments; one of 0 has no paint. camera: None for orthographic. out: (h, w, 3), which the frame's
     colours are written to. box: rows and columns that hold the subject; none are written beyond. before: the
-    surface in the frame before: where the subject moved little, the search goes on from it.
+    surface in the frame before: where the subject moved little since it was found, the search goes on from it.
     """
     lamps = lamps_from_response(response, np.zeros(3))
     rgb, merge = frame.rgb[box], np.linalg.inv(lamps.split)
@@ -96,12 +97,13 @@ def without_paint(
     factor = block_size(mask, _BLOCKS) if before is None else before.factor
     blocks = _blocks_of(rgb, labels[box], mask[box], lamps, rho, lines, factor, box)
     cells = cells_of(rgb[factor // 2 :: factor, factor // 2 :: factor])
-    start, steps = before, _STEPS
     if before is not None:
-        moved = blocks_moved(before.cells, cells)
-        start, steps = before if moved <= _FAR else None, 1 if moved <= _NEAR else _STEPS
+        if blocks_moved(before.cells, cells) > _NEAR:
+            before = None
+        else:
+            cells = before.cells
     lights = np.linalg.inv(lamps.inverse).astype(np.float32)
-    surface = _surface_of(blocks, lamps, lines, ray_grid(camera), start, steps)
+    surface = _surface_of(blocks, lamps, lines, ray_grid(camera), before)
     rays, inverse = blocks.rays(ray_grid(camera)), lamps.inverse.astype(np.float32)
     gains, turns = np.empty(blocks.light.shape, np.float32), np.empty(blocks.labels.shape, np.float32)
     _fill_gains(blocks.light, blocks.labels, surface.slopes, rays, lights, inverse, gains, turns)
@@ -120,7 +122,7 @@ class Surface(NamedTuple):
     """Of blocks of factor × factor pixels.
 
     depth: (h, w). slopes: (2, h, w). known: (h, w), where they are. box: rows and columns of the frame, and
-    cells: what they showed, by which movement is measured.
+    cells: what they showed when it was found from coarse to fine, by which movement is measured.
     """
 
     depth: Single
@@ -180,13 +182,14 @@ def _blocks_of(
 
 
 def _surface_of(
-    blocks: _Blocks, lamps: Lamps, lines: Points, of_pixels: RayGrid, start: Surface | None, steps: int
+    blocks: _Blocks, lamps: Lamps, lines: Points, of_pixels: RayGrid, start: Surface | None
 ) -> Surface:
     """The surface whose paint is least. start: from where the search goes on; None for coarse to fine."""
     lights, inverse = np.linalg.inv(lamps.inverse).astype(np.float32), lamps.inverse.astype(np.float32)
     prices = np.array([_price(line) for line in np.asarray(lines)], np.float32)
-    pyramid, softness = [blocks], np.float32(_STEP_SOFTNESS)
+    pyramid, softness, steps = [blocks], np.float32(_STEP_SOFTNESS), 1
     if start is None:
+        steps = _STEPS
         for _ in range(_LEVELS):
             pyramid.append(pyramid[-1].halved())
         half = tuple(-(-n // 2) for n in pyramid[-1].labels.shape)
