@@ -21,7 +21,7 @@ from vntoolkit.materials.reflectance import (
 )
 from vntoolkit.materials.relighting import colours_of, relit
 from vntoolkit.materials.search import WORST_ERROR_DEG, find_materials
-from vntoolkit.materials.split_frame import blocks_moved, cells_of, split_frame
+from vntoolkit.materials.split_frame import block_size, blocks_moved, cells_of, split_frame
 from vntoolkit.normals.inversion import normals_from_frame
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse, rgb_from_normals
@@ -286,6 +286,27 @@ def test_labels_that_no_longer_fit_are_decided_anew_and_forgotten_ones_do_not_co
     assert np.array_equal(
         labeller.labels(other, mask), MaterialLabeller(RESPONSE, PAINTS).labels(other, mask)
     )
+
+
+def test_what_a_frame_told_of_noise_and_blur_is_kept_but_not_for_a_subject_of_another_size() -> None:
+    first, _, mask = painted(sectors(), noise=3 * LEVEL)
+    turned = rotated(sectors(), 40.0)
+    later, _, _ = painted(turned, seed=3)
+    labeller = MaterialLabeller(RESPONSE, PAINTS)
+    labeller.labels(first, mask)
+    told = labeller.seams
+    labeller.keep()
+    for _ in range(2):
+        labeller.forget()
+        assert np.mean(labeller.labels(later, mask)[mask] == turned[mask]) > 0.97
+        assert labeller.seams == told
+    alone = MaterialLabeller(RESPONSE, PAINTS)
+    larger, around = (each.repeat(6, axis=0).repeat(6, axis=1) for each in (later.rgb, mask))
+    labeller.forget()
+    assert block_size(around) > block_size(mask)
+    frame = LinearFrame(larger)
+    assert np.array_equal(labeller.labels(frame, around), alone.labels(frame, around))
+    assert labeller.seams == alone.seams != told
 
 
 def test_a_frame_in_which_the_picture_jumped_is_decided_as_if_it_were_alone() -> None:

@@ -54,7 +54,7 @@ def whole_run(dome_capture: DomeCapture, tmp_path_factory: pytest.TempPathFactor
 def test_a_frame_of_another_size_than_the_rigs_is_refused(dome_capture: DomeCapture, shadows) -> None:
     processor = FrameProcessor(dome_capture.rig, ReconstructOptions(shadows=shadows))
     frame = EncodedFrame(values=np.zeros((50, 64, 3), np.uint8), bits=8, number=0, name="a.png")
-    for work in (processor.process, processor.anchor_to):
+    for work in (processor.process, processor.refer_to):
         with pytest.raises(BadInput, match=r"a\.png: expected shape 48 × 64 × 3, got 50 × 64 × 3"):
             work(frame)
 

@@ -41,7 +41,7 @@ _MESSAGE_ROUNDS = 5
 _DOUBTFUL = 1.5  # price of a region from which its pixels are decided one by one …
 _BESIDE = 4  # … and those that near to a seam
 # Share of the pixels of a frame that is decided as a whole: in later frames what costs more is doubtful.
-_DOUBTFUL_SHARE = 0.05
+_DOUBTFUL_SHARE = 0.1
 _CARRIED_SWEEPS = 2  # and one where the picture moved by a block at most
 _BOX_BLOCKS = 32  # that a subject moves before another part of the frame is looked at
 # Two pixels with a seam between them, farther apart than its blur and its labels' errors reach.
@@ -60,7 +60,7 @@ class MaterialLabeller:
     The first frame is decided as a whole, region by region. It also tells noise, blur, and how exact lengths
     are. After it pixels are decided again beside seams, which may have moved, and where the label no longer
     fits. A frame that the labels so found explain worse than those of the last whole decision is decided as
-    a whole, too. One in which the picture moved farther than beside seams is decided as a first one.
+    a whole, too. One in which the picture moved farther than beside seams is decided as if it were alone.
 
     response: with light colours. reflectances: (m, 3), relative to the calibration material. pigments:
     (m, 3), the lines of log ρ along which they change, 0 for none. camera: None for orthographic. leveller:
@@ -87,21 +87,33 @@ class MaterialLabeller:
         self._beside_seams: BlurredLabels | None = None
         self._fine: BlurredLabels | None = None
         self._red: tuple[int, int] | None = None
+        self._like: SplitFrame | None = None  # of its blocks and noise are all frames
+        self._kept: tuple[Any, ...] = (None,) * 5
         self.turned_deg: npt.NDArray[np.float32] | None = None  # by paint that was taken out last
         self._plain: npt.NDArray[np.float32] | None = None
         self._surface: Surface | None = None
         self._cells: npt.NDArray[np.float32] | None = None
         self._doubtful = self._mean_price = np.inf
 
+    def keep(self) -> None:
+        """Let what the first frame told of noise, blur and lengths hold for frames after `forget`, too.
+
+        But for those in which the subject has another size, so that blocks have: these tell it again.
+        """
+        if self._fine is not None:
+            self._kept = self._like, self._coarse, self._beside_seams, self._fine, self._red
+
     def forget(self) -> None:
         """Drop the labels of the frame before, so that a sequence may start anywhere."""
-        self._before = self._split = self._coarse = self._beside_seams = self._fine = self._box = None
-        self._surface = self._cells = None
+        self._before = self._split = self._box = self._surface = self._cells = None
+        self._like, self._coarse, self._beside_seams, self._fine, self._red = self._kept
 
     def labels(self, frame: LinearFrame, mask: Mask) -> MaterialLabels:
         """Return (h, w), numbers of the materials; 0 outside the mask. mask: (h, w)."""
         if len(self._logs) == 1 or not mask.any():
             return np.zeros(mask.shape, np.uint8)
+        if self._split is None and self._like is not None and self._like.factor != block_size(mask):
+            self._like = self._coarse = self._beside_seams = self._fine = self._red = None
         labels = np.zeros(mask.shape, np.uint8)
         box = self._boxed(mask)
         inside = np.ascontiguousarray(mask[box])
@@ -109,8 +121,8 @@ class MaterialLabeller:
             part = LinearFrame(rgb=frame.rgb[box], clipped=frame.clipped[box])
         else:
             part = self._leveller.frame_by_strength(frame, box)
-        is_first = self._split is None
-        split = split_frame(part, self._response, inside, like=self._split)
+        is_first = self._like is None
+        split = split_frame(part, self._response, inside, like=self._like)
         cells = cells_of(split.colours)
         moved = 0.0 if self._cells is None else blocks_moved(self._cells, cells)
         if moved > _BESIDE:
@@ -130,7 +142,7 @@ class MaterialLabeller:
             coarse = self._decided_anew(split)
         if coarse is None:
             return np.zeros(mask.shape, np.uint8)
-        self._before, self._split = coarse, split
+        self._before, self._split, self._like = coarse, split, self._like or split
         if split.factor == 1:
             self._fine = self._beside_seams
             return coarse * mask
@@ -214,7 +226,7 @@ class MaterialLabeller:
 
         A small one shares the line of the largest that has one: skin and hair hold the same pigment.
         """
-        split = split_frame(frame, self._response, mask, like=self._split)
+        split = split_frame(frame, self._response, mask, like=self._like)
         middle = split.factor // 2
         places = (
             np.minimum(np.arange(n) * split.factor + middle, size - 1)
@@ -243,7 +255,7 @@ class MaterialLabeller:
             part.start <= a and b <= part.stop for part, a, b in zip(before, first, stop, strict=True)
         ):
             return before
-        step = _BOX_BLOCKS * (block_size(mask) if self._split is None else self._split.factor)
+        step = _BOX_BLOCKS * (block_size(mask) if self._like is None else self._like.factor)
         ends = np.minimum(-(-stop // step) * step, mask.shape)
         first = first // step * step
         self._box = slice(int(first[0]), int(ends[0])), slice(int(first[1]), int(ends[1]))

@@ -44,8 +44,8 @@ MaterialLabels = npt.NDArray[np.uint8]
 _BLOCKS = 60_000  # of the subject; noise is finer than these, and freckles are not
 _LEVELS = 2  # coarser ones, each of half the size: a lip is wide for steps that only reach its neighbours
 _STEPS, _CYCLES = 2, 3  # of Gauss–Newton on each level, and of multigrid in each
-# Blocks that a subject may move from where its surface was found from coarse to fine. Farther on, steps from the
-# surface before do not follow: where a nose was, light that does not fit it passes for paint.
+# Blocks that a subject may move from where its surface was found from coarse to fine. Farther on, steps from
+# the surface before do not follow: where a nose was, light that does not fit it passes for paint.
 _NEAR = 1.0
 _TOLERANCE = 3e-3
 _REACH = 4  # blocks, from what was known of the frame before
@@ -88,7 +88,7 @@ def without_paint(
     labels: (h, w), numbers of the materials. rho: (m, 3), their reflectances. lines: (m, 3), of length 1,
     their pigments; one of 0 has no paint. camera: None for orthographic. out: (h, w, 3), which the frame's
     colours are written to. box: rows and columns that hold the subject; none are written beyond. before: the
-    surface in the frame before: where the subject moved little since it was found, the search goes on from it.
+    surface in the frame before: the search goes on from it, unless the subject has moved far since it began.
     """
     lamps = lamps_from_response(response, np.zeros(3))
     rgb, merge = frame.rgb[box], np.linalg.inv(lamps.split)

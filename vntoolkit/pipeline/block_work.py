@@ -134,12 +134,12 @@ class BlockWorker:
         if self._processor.finds_shadows and job.threads > 1 and loops_may_overlap():
             self._lanes.append(self._new_processor())
         reference = job.options.reference_frame
-        if job.ties_depth and reference is not None:
+        if reference is not None and (job.ties_depth or job.reflectances):
             with contextlib.suppress(VntError):  # where it is met as a frame, it is reported
                 frame = next(
                     smoothed_frames(self._capture, range(reference, reference + 1), job.options.smoothing)
                 )
-                self._processor.anchor_to(frame, self._mattes.of(frame))
+                self._processor.refer_to(frame, self._mattes.of(frame), ties_depth=job.ties_depth)
 
     def _new_processor(self) -> FrameProcessor:
         job = self._job
@@ -265,9 +265,9 @@ def _median_error(normal_map: NormalMap) -> float | None:
     return float(np.median(errors)) if errors.size else None
 
 
-# Reading, light and materials, normals, surfaces and writing run in a thread each, with bounded queues between
-# them, since few of the steps keep two cores busy. Materials go on from the frame before. Normals under shadow
-# owe it nothing: two frames are at work at once.
+# Reading, light and materials, normals, surfaces and writing run in a thread each, with bounded queues
+# between them, since few of the steps keep two cores busy. Materials go on from the frame before. Normals
+# under shadow owe it nothing: two frames are at work at once.
 
 
 def side_by_side(

@@ -135,12 +135,20 @@ class FrameProcessor:
         """True where `normals_of` takes long. Then it owes nothing to the frame before."""
         return self._options.shadows is not ShadowMethod.NONE and self._gel is None
 
-    def anchor_to(self, frame: EncodedFrame, matte: Mask | None = None) -> None:
-        """Tie the depth of all later frames to this one's; see `DepthAnchor`. Raises as `process` does."""
+    def refer_to(self, frame: EncodedFrame, matte: Mask | None = None, *, ties_depth: bool = True) -> None:
+        """Let a frame tell noise, blur, and how exact materials' lengths are, for all frames.
+
+        ties_depth: the depth of later frames is tied to its own, too; see `DepthAnchor`. Raises as `process`
+        does.
+        """
         self.forget()
-        result = self._normals(self.seen(frame, matte))
-        if result.normal_map.mask.any():
-            self._anchor = DepthAnchor(self._integrated(result))
+        seen = self.seen(frame, matte)
+        if self._labeller is not None:
+            self._labeller.keep()
+        if ties_depth:
+            result = self._normals(seen)
+            if result.normal_map.mask.any():
+                self._anchor = DepthAnchor(self._integrated(result))
         self.forget()
 
     def forget(self) -> None:

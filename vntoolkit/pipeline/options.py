@@ -58,9 +58,10 @@ class ReconstructOptions:
     shadows itself: robust, published (the paper's detector) or none. The surface in shadow is then recovered,
     and visibility labels are written. depth_offset: how the free constant of the depth is fixed. reference
     ties every frame to one, so that depth rests where the subject does. mean gives every connected part a
-    mean depth of 0 (perspective: 1). reference_frame: the frame that depth is tied to. Default: the first of
-    the run that makes the folder. smoothing: average a pixel with the frames before and after where its
-    colour differs by less than this share of full scale. 0 is off; about 3 times the noise is useful.
+    mean depth of 0 (perspective: 1). reference_frame: the frame that depth is tied to, and that tells noise
+    and blur of materials' seams. Default: the first of the run that makes the folder. smoothing: average a
+    pixel with the frames before and after where its colour differs by less than this share of full scale. 0
+    is off; about 3 times the noise is useful.
     on_error: what a frame that fails does: stop the run, or skip the frame and name it at the end.
 
     A rig fitted to presses on a gel turns materials and shadows off: it is the gel's own.
