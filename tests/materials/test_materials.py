@@ -288,6 +288,17 @@ def test_labels_that_no_longer_fit_are_decided_anew_and_forgotten_ones_do_not_co
     )
 
 
+def test_labels_are_decided_as_a_whole_again_once_the_picture_has_moved_past_what_is_looked_at() -> None:
+    labeller, as_alone = MaterialLabeller(RESPONSE, PAINTS), []
+    for step in range(16):
+        frame, _, mask = painted(np.roll(sectors(), step, axis=1), seed=step, noise=3 * LEVEL)
+        carried = labeller.labels(frame, mask)
+        as_alone.append(np.array_equal(carried, MaterialLabeller(RESPONSE, PAINTS).labels(frame, mask)))
+    assert as_alone[0]
+    assert not as_alone[1]
+    assert 2 <= sum(as_alone) <= 5, as_alone
+
+
 def test_what_a_frame_told_of_noise_and_blur_is_kept_but_not_for_a_subject_of_another_size() -> None:
     first, _, mask = painted(sectors(), noise=3 * LEVEL)
     turned = rotated(sectors(), 40.0)

@@ -60,7 +60,8 @@ class MaterialLabeller:
     The first frame is decided as a whole, region by region. It also tells noise, blur, and how exact lengths
     are. After it pixels are decided again beside seams, which may have moved, and where the label no longer
     fits. A frame that the labels so found explain worse than those of the last whole decision is decided as
-    a whole, too. One in which the picture moved farther than beside seams is decided as if it were alone.
+    a whole, too. So is one up to which the picture has moved farther than beside seams since the last such
+    decision: patches that a limb uncovers, or that were in shadow, keep a label that only just fits.
 
     response: with light colours. reflectances: (m, 3), relative to the calibration material. pigments:
     (m, 3), the lines of log ρ along which they change, 0 for none. camera: None for orthographic. leveller:
@@ -92,7 +93,8 @@ class MaterialLabeller:
         self.turned_deg: npt.NDArray[np.float32] | None = None  # by paint that was taken out last
         self._plain: npt.NDArray[np.float32] | None = None
         self._surface: Surface | None = None
-        self._cells: npt.NDArray[np.float32] | None = None
+        self._cells: npt.NDArray[np.float32] | None = None  # of the frame before …
+        self._decided: npt.NDArray[np.float32] | None = None  # … and of the last decided as a whole
         self._doubtful = self._mean_price = np.inf
 
     def keep(self) -> None:
@@ -105,7 +107,7 @@ class MaterialLabeller:
 
     def forget(self) -> None:
         """Drop the labels of the frame before, so that a sequence may start anywhere."""
-        self._before = self._split = self._box = self._surface = self._cells = None
+        self._before = self._split = self._box = self._cells = self._decided = self._surface = None
         self._like, self._coarse, self._beside_seams, self._fine, self._red = self._kept
 
     def labels(self, frame: LinearFrame, mask: Mask) -> MaterialLabels:
@@ -124,8 +126,10 @@ class MaterialLabeller:
         is_first = self._like is None
         split = split_frame(part, self._response, inside, like=self._like)
         cells = cells_of(split.colours)
-        moved = 0.0 if self._cells is None else blocks_moved(self._cells, cells)
-        if moved > _BESIDE:
+        moved, since = (
+            0.0 if before is None else blocks_moved(before, cells) for before in (self._cells, self._decided)
+        )
+        if max(moved, since) > _BESIDE:
             self.forget()
             return self.labels(frame, mask)
         self._cells = cells
@@ -139,7 +143,7 @@ class MaterialLabeller:
         """`labels` of the part of a frame that holds the subject."""
         coarse = self._carried(split, moved)
         if coarse is None:
-            coarse = self._decided_anew(split)
+            coarse, self._decided = self._decided_anew(split), self._cells
         if coarse is None:
             return np.zeros(mask.shape, np.uint8)
         self._before, self._split, self._like = coarse, split, self._like or split
@@ -266,9 +270,9 @@ class MaterialLabeller:
         shape = tuple(-((a - b) // factor) for a, b in zip(first, ends, strict=True))
         self._before = _shifted(self._before, shape, down, right)
         self._split = replace(self._split, lit=_shifted(self._split.lit, shape, down, right))
-        if self._cells is not None:  # a box begins where a cell does
-            of_cells = tuple(-(-n // CELL) for n in shape)
-            self._cells = _shifted(self._cells, of_cells, down // CELL, right // CELL)
+        if self._cells is not None and self._decided is not None:  # a box begins where a cell does
+            of_cells = tuple(-(-n // CELL) for n in shape), down // CELL, right // CELL
+            self._cells, self._decided = (_shifted(each, *of_cells) for each in (self._cells, self._decided))
         return self._box
 
     def _carried(self, split: SplitFrame, moved: float) -> MaterialLabels | None:
