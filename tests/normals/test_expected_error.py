@@ -10,7 +10,12 @@ from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.io.maps_and_meshes.maps import read_normal_map, write_normal_map
-from vntoolkit.normals.expected_error import normals_and_errors_from_encoded, with_expected_error
+from vntoolkit.normals.expected_error import (
+    doubts_of_materials,
+    normals_and_errors_from_encoded,
+    with_doubt,
+    with_expected_error,
+)
 from vntoolkit.normals.frame_evidence import fit_ellipsoid
 from vntoolkit.normals.inversion import normals_from_encoded, normals_from_frame, rows_of
 from vntoolkit.normals.lost_detail import _OF_MANY_WAVES, detail_kernel, lost_over_left, side_of_squares
@@ -379,3 +384,24 @@ def test_another_order_of_the_samples_gives_the_same_bits(rng: np.random.Generat
     other, _ = fit_ellipsoid(samples[:, rng.permutation(len(normals))], (96, 96), nearness)
     assert found[1:25].any()
     assert np.array_equal(found[:25], other[:25])
+
+
+def test_doubts_of_materials_and_of_paint_add_as_independent_errors() -> None:
+    generator = np.random.default_rng(0)
+    numbers, bounds = generator.integers(0, 3, (4, 5), dtype=np.uint8), np.array([0.0, 3.0, 6.0], np.float32)
+    turned = generator.uniform(0, 9, numbers.shape).astype(np.float32)
+    assert np.array_equal(doubts_of_materials(numbers, bounds, None), bounds[numbers])
+    doubts = doubts_of_materials(numbers, bounds, turned)
+    assert np.allclose(doubts, np.hypot(bounds[numbers], turned))
+    normals = np.zeros((4, 5, 3), np.float32)
+    normals[..., 2] = -1.0
+    mask = numbers > 0
+    told = np.where(mask, np.float32(8.0), np.float32(0.0))
+    found = with_doubt(
+        NormalMap(normals_in_camera=normals * mask[..., None], mask=mask, error_deg=told), doubts
+    )
+    assert found.error_deg is not None
+    assert found.weight is not None
+    assert np.allclose(found.error_deg, np.where(mask, np.hypot(8.0, doubts), 0.0))
+    assert np.all(found.weight[~mask] == 0.0)
+    assert np.all(np.diff(found.weight[mask][np.argsort(found.error_deg[mask])]) <= 0.0)

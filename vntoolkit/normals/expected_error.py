@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 from numba import prange
 
-from vntoolkit.arrays import Array, Float32Array, Mask, VisibilityLabels
+from vntoolkit.arrays import Array, ByteArray, Float32Array, Mask, VisibilityLabels
 from vntoolkit.checks import require_shape
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import HALF_WEIGHT_DEG, NormalMap
@@ -124,10 +124,46 @@ def with_expected_error(
 def with_doubt(normal_map: NormalMap, doubt_deg: Float32Array) -> NormalMap:
     """Return the map with a further, independent error (h, w) in degrees, and the weight from both."""
     assert normal_map.error_deg is not None
-    error = np.minimum(np.hypot(normal_map.error_deg, doubt_deg), _LARGEST_DEG)
-    weight = 1.0 / (1.0 + (error * _PER_HALF_WEIGHT) ** 2)
-    mask = normal_map.mask
-    return replace(normal_map, error_deg=np.where(mask, error, 0.0), weight=np.where(mask, weight, 0.0))
+    error, weight = np.empty((2, *normal_map.mask.shape), np.float32)
+    _add_doubt(normal_map.error_deg, doubt_deg, normal_map.mask, error, weight)
+    return replace(normal_map, error_deg=error, weight=weight)
+
+
+def doubts_of_materials(
+    numbers: ByteArray, bounds_deg: Float32Array, turned_deg: Float32Array | None
+) -> Float32Array:
+    """Return (h, w), degrees: the bound (m,) of each pixel's material, and a further, independent doubt.
+
+    numbers: (h, w), of the materials. turned_deg: (h, w), None for 0.
+    """
+    doubts = np.empty(numbers.shape, np.float32)
+    _fill_doubts(
+        numbers, bounds_deg, np.zeros((1, 1), np.float32) if turned_deg is None else turned_deg, doubts
+    )
+    return doubts
+
+
+@njit(cache=True, parallel=True, error_model="numpy")
+def _add_doubt(told: Any, doubt: Any, mask: Any, error: Any, weight: Any) -> None:
+    for v in prange(len(mask)):
+        for u in range(mask.shape[1]):
+            e = min(np.sqrt(told[v, u] * told[v, u] + doubt[v, u] * doubt[v, u]), _LARGEST_DEG)
+            half = e * _PER_HALF_WEIGHT
+            error[v, u] = e if mask[v, u] else np.float32(0.0)
+            weight[v, u] = (
+                np.float32(1.0) / (np.float32(1.0) + half * half) if mask[v, u] else np.float32(0.0)
+            )
+
+
+@njit(cache=True, parallel=True, error_model="numpy")
+def _fill_doubts(numbers: Any, bounds: Any, turned: Any, out: Any) -> None:
+    """turned: (1, 1) where it is 0 everywhere."""
+    is_turned = turned.size > 1
+    for v in prange(len(numbers)):
+        for u in range(numbers.shape[1]):
+            bound = bounds[numbers[v, u]]
+            rest = turned[v, u] if is_turned else np.float32(0.0)
+            out[v, u] = np.sqrt(bound * bound + rest * rest)
 
 
 def _pairs_of_lights(response: LightResponse) -> Float32Array:

@@ -228,8 +228,7 @@ class FrameProcessor:
             linear = self._labeller.relit(linear, materials, self._mask, box_of(self._mask))
             turned_deg = self._labeller.turned_deg
             if self._bounds_deg.any():
-                of_material = self._bounds_deg[materials]
-                turned_deg = of_material if turned_deg is None else np.hypot(turned_deg, of_material)
+                turned_deg = expected_error.doubts_of_materials(materials, self._bounds_deg, turned_deg)
         if self._painted is not None:
             linear = self._painted.relit(filmed, linear, frame.number, materials)
             # the mean over frames is in doubt as what one frame tells: frames err alike
