@@ -101,6 +101,7 @@ def refitted_materials(
     for each in _first_frames(job, capture, mattes, numbers):
         labeller.forget()
         labels = labeller.labels(each.by_strength, each.subject)
+        labeller.keep()
         seams = labeller.seams
         # Colours that a camera interpolated make normals longer, most in dark paint: as noise does.
         weighed = None if seams is None or seams.red is None else seams.of_any_length

@@ -313,6 +313,7 @@ def _in_one_material(
         subject = processor.lit_subject(frame)
         labeller.forget()
         labels = labeller.labels(processor.by_strength(frame), subject)
+        labeller.keep()
         # lengths alone tell paint here: a surface without paint would fit any M; none is thought to be 1
         seen = relit(frame, central, labels, *known, mask=subject)
         return replace(seen, clipped=seen.clipped | near_seams(labels, _SEAM_PX))
