@@ -1,4 +1,4 @@
-"""Work on a block of frames in one process: five threads, each a frame ahead of the next; smoothing."""
+"""Work on a block of frames in one process: four threads, each a frame ahead of the next; smoothing."""
 
 from __future__ import annotations
 
@@ -183,7 +183,7 @@ class BlockWorker:
                 if not self._mattes.missing([frame.number])
             )
             finders = [partial(self._with_normals, lane) for lane in self._lanes]
-            for _, begun in side_by_side(read_ahead(shown, meanwhile), finders):
+            for _, begun in side_by_side(shown, finders):
                 second.put(begun.result())
                 while written:
                     yield written.pop(0)
@@ -265,9 +265,9 @@ def _median_error(normal_map: NormalMap) -> float | None:
     return float(np.median(errors)) if errors.size else None
 
 
-# Reading, light and materials, normals, surfaces and writing run in a thread each, with bounded queues
-# between them, since few of the steps keep two cores busy. Materials go on from the frame before. Normals
-# under shadow owe it nothing: two frames are at work at once.
+# Reading, normals, surfaces and writing run in a thread each, with bounded queues between them, since few of
+# the steps keep two cores busy. Materials go on from the frame before. Normals under shadow owe it nothing: two
+# frames are at work at once, while the materials of the next are found.
 
 
 def side_by_side(
