@@ -266,8 +266,8 @@ def _median_error(normal_map: NormalMap) -> float | None:
 
 
 # Reading, normals, surfaces and writing run in a thread each, with bounded queues between them, since few of
-# the steps keep two cores busy. Materials go on from the frame before. Normals under shadow owe it nothing: two
-# frames are at work at once, while the materials of the next are found.
+# the steps keep two cores busy. Materials go on from the frame before. Normals under shadow owe it nothing:
+# two frames are at work at once, while the materials of the next are found.
 
 
 def side_by_side(
