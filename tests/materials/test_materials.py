@@ -299,6 +299,17 @@ def test_labels_are_decided_as_a_whole_again_once_the_picture_has_moved_past_wha
     assert 2 <= sum(as_alone) <= 5, as_alone
 
 
+def test_a_first_frame_that_one_lamp_does_not_reach_does_not_stop_the_next() -> None:
+    frame, _, mask = painted(sectors())
+    light = frame.rgb @ RESPONSE.contributions_from_rgb.T * [0.0, 1.0, 1.0]
+    dark = LinearFrame((light @ np.linalg.inv(RESPONSE.contributions_from_rgb).T).astype(np.float32))
+    part = mask & (np.indices(mask.shape)[1] < 60) & (np.indices(mask.shape)[0] < 60)
+    labeller = MaterialLabeller(RESPONSE, PAINTS)
+    assert not labeller.labels(dark, part).any()
+    alone = MaterialLabeller(RESPONSE, PAINTS)
+    assert np.array_equal(labeller.labels(frame, mask), alone.labels(frame, mask))
+
+
 def test_what_a_frame_told_of_noise_and_blur_is_kept_but_not_for_a_subject_of_another_size() -> None:
     first, _, mask = painted(sectors(), noise=3 * LEVEL)
     turned = rotated(sectors(), 40.0)

@@ -60,8 +60,8 @@ class MaterialLabeller:
     The first frame is decided as a whole, region by region. It also tells noise, blur, and how exact lengths
     are. After it pixels are decided again beside seams, which may have moved, and where the label no longer
     fits. A frame that the labels so found explain worse than those of the last whole decision is decided as
-    a whole, too. So is one up to which the picture has moved farther than beside seams since the last such
-    decision: patches that a limb uncovers, or that were in shadow, keep a label that only just fits.
+    a whole, too. So is a frame once the picture has moved, since the last whole decision, by more blocks than
+    are looked at beside seams: until then, a patch that a limb uncovers may keep a label that only just fits.
 
     response: with light colours. reflectances: (m, 3), relative to the calibration material. pigments:
     (m, 3), the lines of log ρ along which they change, 0 for none. camera: None for orthographic. leveller:
@@ -98,9 +98,9 @@ class MaterialLabeller:
         self._doubtful = self._mean_price = np.inf
 
     def keep(self) -> None:
-        """Let what the first frame told of noise, blur and lengths hold for frames after `forget`, too.
+        """Let what the first frame told of noise, blur and lengths hold after `forget`, too.
 
-        But for those in which the subject has another size, so that blocks have: these tell it again.
+        A subject of another size takes blocks of another size. Then the next first frame tells it again.
         """
         if self._fine is not None:
             self._kept = self._like, self._coarse, self._beside_seams, self._fine, self._red
@@ -145,6 +145,7 @@ class MaterialLabeller:
         if coarse is None:
             coarse, self._decided = self._decided_anew(split), self._cells
         if coarse is None:
+            self.forget()  # the next frame has nothing to go on from
             return np.zeros(mask.shape, np.uint8)
         self._before, self._split, self._like = coarse, split, self._like or split
         if split.factor == 1:

@@ -46,7 +46,7 @@ _LEVELS = 2  # coarser ones, each of half the size: a lip is wide for steps that
 _STEPS, _CYCLES = 2, 3  # of Gauss–Newton on each level, and of multigrid in each
 # Blocks that a subject may move from where its surface was found from coarse to fine. Farther on, steps from
 # the surface before do not follow: where a nose was, light that does not fit it passes for paint.
-_NEAR = 1.0
+_NEAR_BLOCKS = 1.0
 _TOLERANCE = 3e-3
 _REACH = 4  # blocks, from what was known of the frame before
 # Standard deviations of log ρ from which paint counts as such: across the pigment's line, and along it.
@@ -98,7 +98,7 @@ def without_paint(
     blocks = _blocks_of(rgb, labels[box], mask[box], lamps, rho, lines, factor, box)
     cells = cells_of(rgb[factor // 2 :: factor, factor // 2 :: factor])
     if before is not None:
-        if blocks_moved(before.cells, cells) > _NEAR:
+        if blocks_moved(before.cells, cells) > _NEAR_BLOCKS:
             before = None
         else:
             cells = before.cells
