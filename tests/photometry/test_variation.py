@@ -167,3 +167,16 @@ def test_refusals() -> None:
         ResponseVariation(powers=np.array([[1, 0]]), scale_px=0.0, **good)
     with pytest.raises(BadRig, match="matrices: expected shape 2"):
         ResponseVariation(powers=np.array([[1, 0], [0, 1]]), scale_px=1.0, **good)
+
+
+def test_m_of_a_place_stays_with_it_when_the_camera_zooms() -> None:
+    wide, far = (Camera.pinhole(width=WIDTH, height=HEIGHT, focal_px=f) for f in (100.0, 250.0))
+    rig = Rig(camera=wide, response=varying())
+    point = np.array([0.2, -0.1, 3.0])
+    one, other = (each.response.at(each.camera.project(point[None])[0]) for each in (rig, rig.through(far)))
+    np.testing.assert_allclose(one[0], other[0], rtol=1e-9)
+    np.testing.assert_allclose(one[1], other[1], rtol=1e-9)
+    flat = Camera.orthographic(width=WIDTH, height=HEIGHT)
+    assert Rig(camera=wide, response=LightResponse(matrix=MATRIX)).through(flat).camera is flat
+    with pytest.raises(BadRig, match="calibrate with --focal-px or --camera"):
+        rig.through(flat)

@@ -1,18 +1,22 @@
 """Calibration on a matte ball: its outline in the image gives the normal at every pixel."""
 
 import logging
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
 
 from vntoolkit.arrays import BoolArray, Float32Array, Float64Array, FloatArray, Mask, Points2, Vector3
+from vntoolkit.calibration.ball_lamps import NEAREST_USUAL, LitBall, fit_lamps_to_ball
 from vntoolkit.calibration.fit import ResponseFit, ResponseFitOptions, angles_deg, fit_response
+from vntoolkit.calibration.lights import with_light_colours
 from vntoolkit.checks import require_mask, require_shape, require_some
 from vntoolkit.errors import BadCalibration, BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.photometry.frame import LinearFrame
+from vntoolkit.photometry.response import with_near_lamps
 
 logger = logging.getLogger(__name__)
 _LEVELS = (0.03, 0.06, 0.12, 0.25, 0.5)  # of the brightest: low for a dark side, high for a grey wall
@@ -40,13 +44,14 @@ class SphereCalibration:
     """fit: M and its quality. outline: the circle in the image. normal_map: the ball's normals from geometry.
 
     residual_deg: (h, w) float32, angle between the ball's normals and those that M gives back; NaN off the
-    ball and where a pixel was left out.
+    ball and where a pixel was left out. lit: what each lamp alone told; None where none was.
     """
 
     fit: ResponseFit
     outline: "Circle"
     normal_map: NormalMap
     residual_deg: Float32Array
+    lit: LitBall | None = None
 
 
 def fit_response_to_sphere(
@@ -62,6 +67,61 @@ def fit_response_to_sphere(
     its pixels do not determine M.
     """
     options = options or SphereOptions()
+    ball = _ball_in(frame, camera, mask, options)
+    return _fit(frame, *ball, mask, options, rng)
+
+
+def fit_response_to_switched_sphere(
+    alone: Sequence[LinearFrame],
+    camera: Camera,
+    mask: Mask | None = None,
+    options: SphereOptions | None = None,
+    rng: np.random.Generator | None = None,
+    dark: LinearFrame | None = None,
+) -> SphereCalibration:
+    """Fit M to a ball that the red, the green and the blue lamp light alone; alone: three images.
+
+    Each lamp's distance and the light of the room are told apart from M (`fit_lamps_to_ball`): M is that
+    of the place where the ball's centre is, and changes over the picture where the lamps are near. dark: the
+    ball under no lamp, None for none. Else as `fit_response_to_sphere`.
+    """
+    options = options or SphereOptions()
+    total = LinearFrame(
+        rgb=np.sum([each.rgb for each in alone], axis=0),
+        clipped=np.any([each.clipped for each in alone], axis=0),
+    )
+    outline, normal_map = _ball_in(total, camera, mask, options)
+    lit = fit_lamps_to_ball(alone, normal_map, dark)
+    _warn_of_lamps(lit)
+    result = _fit(lit.under_far_lamps(alone, normal_map), outline, normal_map, mask, options, rng)
+    colours = np.array([lamp.colour / np.linalg.norm(lamp.colour) for lamp in lit.lamps])
+    response = replace(with_light_colours(result.fit.response, colours), ambient=lit.room)
+    closeness = np.array([lamp.closeness for lamp in lit.lamps])
+    if closeness.any():
+        size = (camera.width, camera.height)
+        nearness = closeness * max(size) / 2.0 / outline.radius_px
+        response = with_near_lamps(response, nearness, size, outline.centre_px)
+    return replace(result, fit=replace(result.fit, response=response), lit=lit)
+
+
+def _warn_of_lamps(lit: LitBall) -> None:
+    if not lit.is_room_known:
+        logger.warning(
+            "calibrate sphere: the lamps reach all of the ball that is seen, so that it does not tell the "
+            "light of the room; unless the room is dark, M has it three times: film frames with all lamps off"
+        )
+    nearest = max(lamp.closeness for lamp in lit.lamps)
+    if nearest > NEAREST_USUAL:
+        logger.warning(
+            "calibrate sphere: by the ball's shading a lamp stands %.1f of its radii from its centre "
+            "(expected over %.1f); if it does not, the transfer curve is another: give it with --transfer",
+            1.0 / nearest, 1.0 / NEAREST_USUAL,
+        )  # fmt: skip
+
+
+def _ball_in(
+    frame: LinearFrame, camera: Camera, mask: Mask | None, options: SphereOptions
+) -> tuple["Circle", NormalMap]:
     require_shape(frame.rgb, (camera.height, camera.width, 3), "frame of the ball")
     if frame.clipped.all():
         raise BadCalibration("calibrate sphere: every pixel is clipped; lower the exposure")
@@ -71,7 +131,13 @@ def fit_response_to_sphere(
         require_mask(mask, frame.shape)
         require_some(mask, "mask")
         outline = outline_from_mask(mask)
-    normal_map = sphere_normals(outline, camera, options.rim_share)
+    return outline, sphere_normals(outline, camera, options.rim_share)
+
+
+def _fit(
+    frame: LinearFrame, outline: "Circle", normal_map: NormalMap, mask: Mask | None, options: SphereOptions,
+    rng: np.random.Generator | None,
+) -> SphereCalibration:  # fmt: skip
     chosen = normal_map.mask if mask is None else normal_map.mask & mask
     normals, rgb = normal_map.normals_in_camera[chosen], frame.rgb[chosen]
     fit = fit_response(normals, rgb, options.fit, clipped=frame.clipped[chosen], verb="sphere", rng=rng)

@@ -8,6 +8,7 @@ from typing import Annotated, Any, TypeAlias
 import numpy as np
 from cyclopts import Parameter
 
+from vntoolkit.calibration.ball_lamps import LitBall
 from vntoolkit.calibration.board import BoardOptions
 from vntoolkit.calibration.fit import ResponseFit
 from vntoolkit.calibration.lights import LightColours
@@ -96,7 +97,17 @@ def sphere(
     rig, result = calibrate.calibrate_sphere(job, options or SphereOptions())
     (u, v), radius = result.outline.centre_px, result.outline.radius_px
     _finish(out, rig, job, f"ball at ({u:.1f}, {v:.1f}), radius {radius:.1f} px", result.fit)
+    if result.lit is not None:
+        _report_lamps(result.lit)
     _print_what_is_next(out)
+
+
+def _report_lamps(lit: LitBall) -> None:
+    """Print how far the lamps are from the ball, and the light of the room."""
+    away = [f"{1.0 / lamp.closeness:.0f}" if lamp.closeness else "over 100" for lamp in lit.lamps]
+    print(f"  lamps' distance   {', '.join(away)} radii of the ball (red, green, blue)")
+    room = ", ".join(f"{100.0 * share:.1f}" for share in lit.room)
+    print(f"  light of the room {f'{room} % of full scale' if lit.is_room_known else 'not told'}")
 
 
 @flags.verb("max_megapixels")
@@ -193,7 +204,8 @@ def report_rig(out: Path, rig: Rig, seen: str) -> None:
     print(f"  condition number  {rig.response.condition_number:.1f} (1 is best, below 10 is good)")
     if rig.response.variation is not None:
         print("  M varies over the image; the condition number is that of the centre")
-        return
+        if rig.response.light_colours is None:
+            return
     tilts = np.rad2deg(np.arccos(np.clip(-rig.response.light_directions[:, 2], -1, 1)))
     tilts_text = f"{', '.join(f'{tilt:.0f}' for tilt in tilts)} degrees from the optical axis"
     if rig.response.light_colours is not None:

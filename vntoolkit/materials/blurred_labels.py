@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import cv2
 import numpy as np
 from numba import prange
 
@@ -83,6 +84,44 @@ class BlurredLabels:
         """
         return self._decided(values, lit, labels, near, 0, 1)
 
+    def cheaper(
+        self, values: FloatArray, lit: Mask, one: MaterialLabels, other: MaterialLabels
+    ) -> MaterialLabels:
+        """Return labels (h, w) that are, in each piece where two pictures differ, those that cost less."""
+        differ = (one != other) & lit
+        if not differ.any():
+            return one
+        side = 2 * (_REACH_PX + 1) + 1  # as far as a label is felt, by its blur and the step beyond
+        felt = cv2.dilate(differ.astype(np.uint8), np.ones((side, side), np.uint8))
+        count, pieces = cv2.connectedComponents(felt)
+        more = self._prices(values, lit, other) - self._prices(values, lit, one)
+        is_cheaper = np.bincount(pieces.ravel(), more.ravel(), count) < 0.0
+        is_cheaper[0] = False
+        return np.where(is_cheaper[pieces], other, one)
+
+    def _prices(self, values: FloatArray, lit: Mask, labels: MaterialLabels) -> Single:
+        """(h, w), nats of each lit pixel's length, and of the steps and seams to its right and below."""
+        split, rho, haze, inverse = self._in_single()
+        weights = blur_weights(self.seams.blur_px, _REACH_PX).astype(np.float32)
+        state, out = self._room_for(lit.shape), np.zeros(lit.shape, np.float32)
+        _mix_all(values, labels, lit, split, rho, wide_weights(weights), state)
+        _price_all(
+            labels, lit, state, haze, inverse, self._precision_of_lengths, np.float32(self._precision), out
+        )
+        return out
+
+    def _in_single(self) -> tuple[Single, Single, Single, Single]:
+        """Return split, ρ, haze and L⁻¹ in single precision."""
+        lamps = self._lamps
+        split, rho, haze, inverse = (
+            part.astype(np.float32) for part in (lamps.split, self._reflectances, lamps.haze, lamps.inverse)
+        )
+        return split, rho, haze, inverse
+
+    @property
+    def _precision_of_lengths(self) -> np.float32:
+        return np.float32(1.0 / (self._spread.of_pixels**2 + _SHARED * self._spread.of_regions**2))
+
     def _decided(
         self, values: FloatArray, lit: Mask, labels: MaterialLabels, near: Mask, of_blocks: int, sweeps: int
     ) -> MaterialLabels:
@@ -105,18 +144,15 @@ class BlurredLabels:
         of_blocks: int, sweeps: int,
     ) -> MaterialLabels:  # fmt: skip
         weights = blur_weights(blur_px, _REACH_PX).astype(np.float32)
-        lamps, found = self._lamps, labels.copy()
-        split, rho, haze, inverse = (
-            part.astype(np.float32) for part in (lamps.split, self._reflectances, lamps.haze, lamps.inverse)
-        )
+        found = labels.copy()
+        split, rho, haze, inverse = self._in_single()
         room, near = self._room_for(lit.shape), lit & near
         _mix_all(values, found, near, split, rho, wide_weights(weights), room)
         most_left = _ENOUGH * near_seams(labels, 1).sum() if sweeps > 1 else 0
-        length = 1.0 / (self._spread.of_pixels**2 + _SHARED * self._spread.of_regions**2)
         for by_blocks, most in ((True, of_blocks), (False, sweeps)):
             for _ in range(most):
                 changed = _move(
-                    found, near, room, rho, weights, haze, inverse, np.float32(length),
+                    found, near, room, rho, weights, haze, inverse, self._precision_of_lengths,
                     np.float32(self._precision), by_blocks,
                 )  # fmt: skip
                 if changed <= most_left:
@@ -181,6 +217,40 @@ def _mix_all(values: Any, labels: Any, wanted: Any, split: Any, rho: Any, weight
                 state[3 + k, v, u : u + stop] = room[1][part]
                 state[6 + k, v, u : u + stop] = logs[part]
             u += CHUNK_PX
+
+
+@njit(cache=True, parallel=True, error_model="numpy")
+def _price_all(
+    labels: Any, lit: Any, state: Any, haze: Any, inverse: Any, length: Any, precision: Any, out: Any
+) -> None:
+    """Fill out (h, w) with the price of each lit pixel's length and of the steps to its right and below.
+
+    state: of `_mix_all`, of the same labels; all numbers in single precision.
+    """
+    h, w = labels.shape
+    for v in prange(h):
+        normal = np.empty(3, np.float32)
+        for u in range(w):
+            if not lit[v, u]:
+                continue
+            for i in range(3):
+                normal[i] = _NONE
+                for k in range(3):
+                    normal[i] += inverse[i, k] * (state[k, v, u] / state[3 + k, v, u] - haze[k])
+            e = np.sqrt(normal[0] * normal[0] + normal[1] * normal[1] + normal[2] * normal[2]) - _ONE
+            t = e * e * length
+            total = _HALF * _MOST * t / (_MOST + t)
+            for way in range(2):
+                a, b = v + way, u + 1 - way
+                if a >= h or b >= w or not lit[a, b]:
+                    continue
+                t = _NONE
+                for k in range(6, 9):
+                    step = state[k, a, b] - state[k, v, u]
+                    t += step * step * precision
+                total += _HALF * _MOST * t / (_MOST + t)
+                total += np.float32(_SEAM_PRICE) * (labels[a, b] != labels[v, u])
+            out[v, u] = total
 
 
 @njit(cache=True)

@@ -20,7 +20,14 @@ from vntoolkit.geometry.camera import Camera
 from vntoolkit.materials.blurred_labels import MARGIN_PX, BlurredLabels
 from vntoolkit.materials.paint import Surface, without_paint
 from vntoolkit.materials.pigment import pigment_of
-from vntoolkit.materials.pixels import INDEPENDENT_PX, LineLabeller, MaterialLabels, Seams, Spread, near_seams
+from vntoolkit.materials.pixels import (
+    INDEPENDENT_PX,
+    MaterialLabels,
+    PixelLabeller,
+    Seams,
+    Spread,
+    near_seams,
+)
 from vntoolkit.materials.reflectance import CAP
 from vntoolkit.materials.region_lengths import Lengths, lengths_of
 from vntoolkit.materials.regions import SHADING_STEP, Regions, regions_of
@@ -84,7 +91,7 @@ class MaterialLabeller:
         self._before: MaterialLabels | None = None
         self._split: SplitFrame | None = None
         self._box: tuple[slice, slice] | None = None
-        self._coarse: LineLabeller | None = None
+        self._coarse: PixelLabeller | None = None
         self._beside_seams: BlurredLabels | None = None
         self._fine: BlurredLabels | None = None
         self._red: tuple[int, int] | None = None
@@ -291,10 +298,10 @@ class MaterialLabeller:
         self._coarse.look_at(split.colours, split.lit)
         doubtful = self._coarse.prices(self._before) > self._doubtful
         doubtful |= ~self._split.lit
-        found = self._coarse.decided(
+        found = self._coarse.followed(
             self._before,
             doubtful | near_seams(self._before, min(int(np.ceil(2.0 * moved)), _BESIDE)),
-            any_label=doubtful,
+            doubtful,
             sweeps=_CARRIED_SWEEPS if moved > 1.0 else 1,
         )
         paid = self._coarse.prices(found).sum(dtype=np.float64)
@@ -316,17 +323,19 @@ class MaterialLabeller:
             for _ in range(2):
                 costs = prices_of_regions(lengths, spread)
                 spread = spread_of(lengths, agreed(costs, self._logs, regions, _SEAM_PRICE))
-            self._coarse = LineLabeller(split.lamps, self._logs, spread)
+            self._coarse = PixelLabeller(split.lamps, self._logs, spread)
         costs = prices_of_regions(lengths, self._coarse.spread)
         of_regions = agreed(costs, self._logs, regions, _SEAM_PRICE)
         coarse = of_regions[regions.labels].astype(np.uint8)
         doubtful = np.take_along_axis(costs, of_regions[:, None], 1)[:, 0] > _DOUBTFUL
         active = ~regions.plain | doubtful[regions.labels] | near_seams(coarse, _BESIDE)
         self._coarse.look_at(split.colours, split.lit)
-        found = self._coarse.decided(coarse, active)
+        of_pixels = self._coarse.decided(coarse, active), self._coarse.decided_at_once(coarse, active)
         if self._beside_seams is None:
             self._beside_seams = BlurredLabels(split.lamps, self._logs, self._coarse.spread)
-        found = self._beside_seams.settled(split.colours, split.lit, found)
+        seen = split.colours, split.lit
+        found, other = (self._beside_seams.settled(*seen, each) for each in of_pixels)
+        found = self._beside_seams.cheaper(*seen, found, other)
         paid = self._coarse.prices(found)[split.lit].astype(np.float64)
         self._doubtful = float(np.quantile(paid, 1.0 - _DOUBTFUL_SHARE)) if paid.size else np.inf
         self._mean_price = float(paid.mean()) if paid.size else np.inf

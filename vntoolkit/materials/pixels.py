@@ -14,6 +14,7 @@ import numpy.typing as npt
 from numba import prange
 
 from vntoolkit.arrays import FloatArray, Mask, Points
+from vntoolkit.materials.messages import labels_by_messages
 from vntoolkit.materials.mixtures import MOST_REACH_PX, blur_weights
 from vntoolkit.materials.reflectance import CAP, Lamps, bias_of_noise, length_and_variance
 from vntoolkit.native import njit
@@ -73,8 +74,8 @@ class Seams(NamedTuple):
         return self._replace(tolerance=ANY)
 
 
-class LineLabeller:
-    """Decides labels of pixels line by line, of the frame that it looks at.
+class PixelLabeller:
+    """Decides labels of pixels, of the frame that it looks at.
 
     The first frame tells the blur and how far shading changes.
 
@@ -99,28 +100,45 @@ class LineLabeller:
         self._of_lengths = np.zeros(lit.shape, np.float32), np.full(lit.shape, _NO_LABEL, np.uint8)
         self._steps_of = None
 
-    def decided(
-        self, labels: MaterialLabels, active: Mask, *, any_label: Mask | None = None, sweeps: int = _SWEEPS
-    ) -> MaterialLabels:
-        """Return labels (h, w) of little cost, from labels (h, w).
+    def decided(self, labels: MaterialLabels, active: Mask) -> MaterialLabels:
+        """Return labels (h, w) of little cost, from labels (h, w), line by line.
+
+        active: pixels that are decided, among all labels. The first frame tells the blur.
+        """
+        active = active & self._lit
+        allowed = np.full(labels.shape, 2 ** len(self._logs) - 1, np.uint16)
+        if self._variance is not None:
+            return self._by_lines(labels, active, allowed, _SWEEPS)
+        known = self._values, self._lit, self._lamps, self._logs, self.spread
+        found = self._by_lines(labels, active, allowed, _SWEEPS)
+        self.blur_px = likeliest_blur_px(*known, found)
+        if self.blur_px >= _BLURRED_PX:
+            self._reach, self._variance = _REACH_BLURRED, None
+            found = self._by_lines(labels, active, allowed, _SWEEPS)
+            self.blur_px = likeliest_blur_px(*known, found)
+        return found
+
+    def decided_at_once(self, labels: MaterialLabels, active: Mask) -> MaterialLabels:
+        """Return what `decided`, which is called before with the same, looks for, by messages.
+
+        They turn patches that lines cannot turn, and lose some that lines keep.
+        """
+        prices = self._room_for(self._values)[1]
+        return labels_by_messages(
+            labels, active & self._lit, prices, self._steps(), self._logs.astype(np.float32), self._reach,
+            float(_SEAM_PRICE),
+        )  # fmt: skip
+
+    def followed(self, labels: MaterialLabels, active: Mask, any_label: Mask, sweeps: int) -> MaterialLabels:
+        """Return labels (h, w) of little cost, from those of the frame before.
 
         active: pixels that are decided, among the labels around them, or, where `any_label`, a mask, is True,
         among all.
         """
         active = active & self._lit
         allowed = np.full(labels.shape, 2 ** len(self._logs) - 1, np.uint16)
-        if any_label is not None:
-            _labels_around(labels, any_label, active, allowed)
-        if self._variance is not None:
-            return self._of_least_cost(labels, active, allowed, sweeps)
-        known = self._values, self._lit, self._lamps, self._logs, self.spread
-        found = self._of_least_cost(labels, active, allowed, _SWEEPS)
-        self.blur_px = likeliest_blur_px(*known, found)
-        if self.blur_px >= _BLURRED_PX:
-            self._reach, self._variance = _REACH_BLURRED, None
-            found = self._of_least_cost(labels, active, allowed, _SWEEPS)
-            self.blur_px = likeliest_blur_px(*known, found)
-        return found
+        _labels_around(labels, any_label, active, allowed)
+        return self._by_lines(labels, active, allowed, sweeps)
 
     def prices(self, labels: MaterialLabels) -> Single:
         """(h, w), nats that each pixel's length costs under its label, and the steps to right and below.
@@ -136,7 +154,7 @@ class LineLabeller:
         before[...] = labels
         return out
 
-    def _of_least_cost(
+    def _by_lines(
         self, labels: MaterialLabels, active: Mask, allowed: npt.NDArray[np.uint16], sweeps: int
     ) -> MaterialLabels:
         """Decide rows and columns in turn, each whole line at once (viterbi1967), until hardly any change."""

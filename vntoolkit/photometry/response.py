@@ -214,18 +214,24 @@ def changes_of_near_lamps(response: LightResponse) -> FloatArray:
     return np.einsum("ik,akj->akij", np.linalg.inv(response.contributions_from_rgb), changes)
 
 
-def with_near_lamps(response: LightResponse, nearness: float, size: tuple[int, int]) -> LightResponse:
-    """Return the response of the picture's centre with the change over the picture that near lamps make.
+def with_near_lamps(
+    response: LightResponse,
+    nearness: float | FloatArray,
+    size: tuple[int, int],
+    centre_px: FloatArray | None = None,
+) -> LightResponse:
+    """Return the response of one place with the change over the picture that near lamps make.
 
-    nearness: half of the picture's larger side, at the surface, over the lamps' distance. size: width and
-    height of the picture in pixels.
+    nearness: half of the picture's larger side, at the surface, over the lamps' distance, one of all or (3,)
+    of each. size: width and height of the picture in pixels. centre_px: (u, v) of the place, None for the
+    picture's centre.
     """
-    matrices = nearness * changes_of_near_lamps(response).sum(axis=1)
+    of_each = np.broadcast_to(nearness, 3)
     variation = ResponseVariation(
         powers=powers_to_degree(1),
-        matrices=matrices,
+        matrices=np.einsum("k,akij->aij", of_each, changes_of_near_lamps(response)),
         ambients=np.zeros((2, 3)),
-        centre_px=(np.array(size) - 1) / 2,
+        centre_px=(np.array(size) - 1) / 2 if centre_px is None else centre_px,
         scale_px=max(size) / 2,
     )
     return replace(response, variation=variation)

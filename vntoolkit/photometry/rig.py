@@ -1,6 +1,6 @@
 """A rig: camera, light response, transfer curve, and the quality of its calibration."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from vntoolkit.display import Displayed, Facts
 from vntoolkit.errors import BadRig
@@ -59,6 +59,29 @@ class Rig(Displayed):
         if self.gel is not None and self.gel.filmed_px is not None:
             return self.gel.filmed_px
         return self.camera.width, self.camera.height
+
+    def through(self, camera: Camera) -> "Rig":
+        """Return the rig of another camera, or another zoom, at the same place and of the same subject.
+
+        M is that of a place, and so is its change from place to place: it goes with the picture's scale.
+        Raises `BadRig` where M changes over the picture and one of the two focal lengths is not known.
+        """
+        variation = self.response.variation
+        if variation is None:
+            return replace(self, camera=camera)
+        if not (self.camera.is_perspective and camera.is_perspective):
+            raise BadRig(
+                "another camera: M changes over the picture, and an orthographic camera does not tell how "
+                "large the same surface is in the other; calibrate with --focal-px or --camera"
+            )
+        scale = float(camera.matrix[0, 0] / self.camera.matrix[0, 0])
+        middle, other = self.camera.matrix[:2, 2], camera.matrix[:2, 2]
+        seen = replace(
+            variation,
+            centre_px=other + scale * (variation.centre_px - middle),
+            scale_px=scale * variation.scale_px,
+        )
+        return replace(self, camera=camera, response=replace(self.response, variation=seen))
 
     def require_background(self, given: bool) -> None:
         """Raise `BadRig` where a tactile gel's rig is used without its untouched gel."""

@@ -20,7 +20,12 @@ from vntoolkit.calibration.lights import (
     response_from_lights,
     with_light_colours,
 )
-from vntoolkit.calibration.sphere import SphereCalibration, SphereOptions, fit_response_to_sphere
+from vntoolkit.calibration.sphere import (
+    SphereCalibration,
+    SphereOptions,
+    fit_response_to_sphere,
+    fit_response_to_switched_sphere,
+)
 from vntoolkit.diagnosis.finding import judge
 from vntoolkit.diagnosis.inspection import findings_from_calibration_footage
 from vntoolkit.errors import BadCalibration, BadInput
@@ -110,7 +115,8 @@ class CalibrationJob:
 def calibrate_sphere(job: CalibrationJob, options: SphereOptions) -> tuple[Rig, SphereCalibration]:
     """Fit a rig to footage of a ball at rest; the frames are averaged.
 
-    Where each lamp is on alone in some frames, M is that of the three together, and their colours are known.
+    Where each lamp is on alone in some frames, M is that of the three together, and their colours, their
+    distances and the light of the room are known.
     """
     capture = job.open()
     info = capture.info
@@ -126,14 +132,14 @@ def calibrate_sphere(job: CalibrationJob, options: SphereOptions) -> tuple[Rig, 
     colours: list[FrameColour] = []
     frame = mean_frame(noted(capture.frames(numbers.start, numbers.stop, numbers.step), mask, colours))
     switched = find_switched_lamps(colours)
-    alone: list[LinearFrame] = []
-    if switched is not None:
+    rng = np.random.default_rng(_SEED)
+    if switched is None:
+        result = fit_response_to_sphere(frame, camera, mask, options, rng)
+    else:
         alone = _alone(capture, switched)
-        frame = _all_together(alone, capture, switched)
-    result = fit_response_to_sphere(frame, camera, mask, options, np.random.default_rng(_SEED))
+        dark = mean_frame(_numbered(capture, switched.dark)) if switched.dark else None
+        result = fit_response_to_switched_sphere(alone, camera, mask, options, rng, dark)
     response = result.fit.response
-    if alone and not job.single_light:
-        response = with_light_colours(response, fit_light_colours(alone, result.normal_map.mask))
     response = _with_single_lights(job, response, mask)
     return _rig(job, capture, camera, response, result.fit.quality, "the ball", mattes.files), result
 
@@ -162,15 +168,6 @@ def _numbered(capture: Capture, numbers: Sequence[int]) -> Iterator[LinearFrame]
     for frame in capture.frames(min(chosen), max(chosen) + 1):
         if frame.number in chosen:
             yield frame
-
-
-def _all_together(alone: list[LinearFrame], capture: Capture, switched: SwitchedLamps) -> LinearFrame:
-    """The picture under all lamps. Each of `alone` has the light of the room once."""
-    total = mean_frame(alone)
-    rgb = np.float32(len(alone)) * total.rgb
-    if switched.dark:
-        rgb -= np.float32(len(alone) - 1) * mean_frame(_numbered(capture, switched.dark)).rgb
-    return LinearFrame(rgb=rgb, clipped=total.clipped)
 
 
 def calibrate_board(
