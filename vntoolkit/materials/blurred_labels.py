@@ -10,9 +10,9 @@ from __future__ import annotations
 
 from typing import Any
 
-import cv2
 import numpy as np
 from numba import prange
+from scipy.ndimage import label, maximum_filter, minimum_filter
 
 from vntoolkit.arrays import FloatArray, Mask, Points
 from vntoolkit.materials.mixtures import CHUNK_PX, blur_weights, fill_means, room_for, wide_weights
@@ -36,6 +36,7 @@ _FIRST_BLUR_PX = 1.0  # of a lens and a Bayer pattern; sharper pictures show it,
 _SEAM_PRICE = 1.0  # of two pixels of two materials side by side
 _SHARED = 4.0  # pixels that share their errors: texture and blur reach over 2 × 2
 _BLOCK_PX, _BLOCK_SWEEPS, _SWEEPS = 4, 3, 5
+_LEAST_PIECE_PX = 3
 _LOOK_PX = 2  # beside a block for labels that it may get
 _ENOUGH = 0.01  # share of the pixels beside seams that change when all is settled
 _LEAST_STEP = 0.01  # of log s from pixel to pixel
@@ -84,20 +85,30 @@ class BlurredLabels:
         """
         return self._decided(values, lit, labels, near, 0, 1)
 
-    def cheaper(
-        self, values: FloatArray, lit: Mask, one: MaterialLabels, other: MaterialLabels
+    def with_cheaper(
+        self, values: FloatArray, lit: Mask, labels: MaterialLabels, others: MaterialLabels
     ) -> MaterialLabels:
-        """Return labels (h, w) that are, in each piece where two pictures differ, those that cost less."""
-        differ = (one != other) & lit
+        """Return labels (h, w), settled ones, with others in each piece in which those, settled, cost less.
+
+        Pieces narrower than a few pixels are left out: labels are settled so far already.
+        """
+        differ = (labels != others) & lit
+        joined = maximum_filter(differ, _LEAST_PIECE_PX)  # pictures of pixels apart leave holes in each other
+        pieces, count = label(joined)
+        is_wide = np.zeros(count + 1, np.bool_)
+        is_wide[pieces[minimum_filter(joined, 2 * _LEAST_PIECE_PX - 1)]] = True
+        differ &= is_wide[pieces]
         if not differ.any():
-            return one
-        side = 2 * (_REACH_PX + 1) + 1  # as far as a label is felt, by its blur and the step beyond
-        felt = cv2.dilate(differ.astype(np.uint8), np.ones((side, side), np.uint8))
-        count, pieces = cv2.connectedComponents(felt)
-        more = self._prices(values, lit, other) - self._prices(values, lit, one)
-        is_cheaper = np.bincount(pieces.ravel(), more.ravel(), count) < 0.0
+            return labels
+        near = maximum_filter(differ, 2 * (_BLOCK_PX + MARGIN_PX) + 1)
+        other = np.where(differ, others, labels)
+        other = self._decided(values, lit, other, near, _BLOCK_SWEEPS, _SWEEPS)
+        # As far as a label is felt: by its blur, and the step beyond.
+        pieces, count = label(maximum_filter(labels != other, 2 * (_REACH_PX + 1) + 1))
+        more = self._prices(values, lit & near, other) - self._prices(values, lit & near, labels)
+        is_cheaper = np.bincount(pieces.ravel(), more.ravel(), count + 1) < 0.0
         is_cheaper[0] = False
-        return np.where(is_cheaper[pieces], other, one)
+        return np.where(is_cheaper[pieces], other, labels)
 
     def _prices(self, values: FloatArray, lit: Mask, labels: MaterialLabels) -> Single:
         """(h, w), nats of each lit pixel's length, and of the steps and seams to its right and below."""

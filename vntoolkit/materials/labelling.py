@@ -50,6 +50,7 @@ _BESIDE = 4  # … and those that near to a seam
 # Share of the pixels of a frame that is decided as a whole: in later frames what costs more is doubtful.
 _DOUBTFUL_SHARE = 0.1
 _CARRIED_SWEEPS = 2  # and one where the picture moved by a block at most
+_AS_A_WHOLE = 8  # blocks that the picture moves from one frame decided as a whole to the next
 _BOX_BLOCKS = 32  # that a subject moves before another part of the frame is looked at
 # Two pixels with a seam between them, farther apart than its blur and its labels' errors reach.
 _APART_PX = 6
@@ -67,8 +68,8 @@ class MaterialLabeller:
     The first frame is decided as a whole, region by region. It also tells noise, blur, and how exact lengths
     are. After it pixels are decided again beside seams, which may have moved, and where the label no longer
     fits. A frame that the labels so found explain worse than those of the last whole decision is decided as
-    a whole, too. So is a frame once the picture has moved, since the last whole decision, by more blocks than
-    are looked at beside seams: until then, a patch that a limb uncovers may keep a label that only just fits.
+    a whole, too. So is a frame once the picture has moved, since the last whole decision, by some blocks:
+    until then, a patch that a limb uncovers may keep a label that only just fits.
 
     response: with light colours. reflectances: (m, 3), relative to the calibration material. pigments:
     (m, 3), the lines of log ρ along which they change, 0 for none. camera: None for orthographic. leveller:
@@ -136,7 +137,7 @@ class MaterialLabeller:
         moved, since = (
             0.0 if before is None else blocks_moved(before, cells) for before in (self._cells, self._decided)
         )
-        if max(moved, since) > _BESIDE:
+        if moved > _BESIDE or since > _AS_A_WHOLE:
             self.forget()
             return self.labels(frame, mask)
         self._cells = cells
@@ -330,12 +331,13 @@ class MaterialLabeller:
         doubtful = np.take_along_axis(costs, of_regions[:, None], 1)[:, 0] > _DOUBTFUL
         active = ~regions.plain | doubtful[regions.labels] | near_seams(coarse, _BESIDE)
         self._coarse.look_at(split.colours, split.lit)
-        of_pixels = self._coarse.decided(coarse, active), self._coarse.decided_at_once(coarse, active)
+        found = self._coarse.decided(coarse, active)
         if self._beside_seams is None:
             self._beside_seams = BlurredLabels(split.lamps, self._logs, self._coarse.spread)
+        at_once = self._coarse.decided_at_once(coarse, active)
         seen = split.colours, split.lit
-        found, other = (self._beside_seams.settled(*seen, each) for each in of_pixels)
-        found = self._beside_seams.cheaper(*seen, found, other)
+        found = self._beside_seams.settled(*seen, found)
+        found = self._beside_seams.with_cheaper(*seen, found, at_once)
         paid = self._coarse.prices(found)[split.lit].astype(np.float64)
         self._doubtful = float(np.quantile(paid, 1.0 - _DOUBTFUL_SHARE)) if paid.size else np.inf
         self._mean_price = float(paid.mean()) if paid.size else np.inf

@@ -17,7 +17,7 @@ from vntoolkit.arrays import Mask
 from vntoolkit.materials.reflectance import CAP
 from vntoolkit.native import njit
 
-_ROUNDS = 5  # there and back; as many more change one pixel in 500
+_ROUNDS = 2  # there and back; three more change few patches
 _NONE, _HALF, _ONE, _OF_CAP = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(CAP**-2)
 _INFINITE = np.float32(np.inf)
 Single = npt.NDArray[np.float32]
