@@ -82,8 +82,10 @@ def fit_response_to_switched_sphere(
     """Fit M to a ball that the red, the green and the blue lamp light alone; alone: three images.
 
     Each lamp's distance and the light of the room are told apart from M (`fit_lamps_to_ball`): M is that
-    of the place where the ball's centre is, and changes over the picture where the lamps are near. dark: the
-    ball under no lamp, None for none. Else as `fit_response_to_sphere`.
+    of the place where the ball's centre is, and changes over the picture where the lamps are near. An
+    orthographic camera leaves the latter out: a ball seen in perspective and taken for one seen from afar
+    makes lamps seem far, and footage tells it better. dark: the ball under no lamp, None for none. Else as
+    `fit_response_to_sphere`.
     """
     options = options or SphereOptions()
     total = LinearFrame(
@@ -97,7 +99,7 @@ def fit_response_to_switched_sphere(
     colours = np.array([lamp.colour / np.linalg.norm(lamp.colour) for lamp in lit.lamps])
     response = replace(with_light_colours(result.fit.response, colours), ambient=lit.room)
     closeness = np.array([lamp.closeness for lamp in lit.lamps])
-    if closeness.any():
+    if closeness.any() and camera.is_perspective:
         size = (camera.width, camera.height)
         nearness = closeness * max(size) / 2.0 / outline.radius_px
         response = with_near_lamps(response, nearness, size, outline.centre_px)

@@ -82,7 +82,7 @@ def sphere(
     footage: Annotated[FootageFlags | None, flags.Flags()] = None,
     options: Annotated[SphereOptions | None, _FIT] = None,
 ) -> None:
-    """Calibrate on a matte ball of the subject's material, at rest under all three lights.
+    """Calibrate on a matte ball of the subject's material, at rest under all lights, or one after the other.
 
     Parameters
     ----------
@@ -98,14 +98,16 @@ def sphere(
     (u, v), radius = result.outline.centre_px, result.outline.radius_px
     _finish(out, rig, job, f"ball at ({u:.1f}, {v:.1f}), radius {radius:.1f} px", result.fit)
     if result.lit is not None:
-        _report_lamps(result.lit)
+        _report_lamps(result.lit, rig.camera.is_perspective)
     _print_what_is_next(out)
 
 
-def _report_lamps(lit: LitBall) -> None:
+def _report_lamps(lit: LitBall, is_perspective: bool) -> None:
     """Print how far the lamps are from the ball, and the light of the room."""
     away = [f"{1.0 / lamp.closeness:.0f}" if lamp.closeness else "over 100" for lamp in lit.lamps]
     print(f"  lamps' distance   {', '.join(away)} radii of the ball (red, green, blue)")
+    if not is_perspective:
+        print("                    (or nearer: --camera or --focal-px tells, and lets M change with it)")
     room = ", ".join(f"{100.0 * share:.1f}" for share in lit.room)
     print(f"  light of the room {f'{room} % of full scale' if lit.is_room_known else 'not told'}")
 
