@@ -87,6 +87,21 @@ def test_far_lamps_or_an_unknown_focal_length_leave_one_m() -> None:
         np.testing.assert_allclose(response.matrix, COLOURS.T @ DIRECTIONS, atol=0.012)
 
 
+def test_what_the_mask_leaves_out_of_the_ball_does_not_count() -> None:
+    frames, mask = photographs((0.08, 0.08, 0.08))
+    held = np.zeros_like(mask)
+    held[125:] = True  # a table before it
+    grey = np.float32(0.3)
+    frames = [
+        LinearFrame(rgb=np.where(held[..., None], grey, each.rgb), clipped=each.clipped) for each in frames
+    ]
+    result = fit_response_to_switched_sphere(frames, CAMERA, mask & ~held)
+    assert result.lit is not None
+    np.testing.assert_allclose(result.lit.room, ROOM, atol=0.002)
+    for lamp, direction in zip(result.lit.lamps, DIRECTIONS, strict=True):
+        assert angle_deg(lamp.direction, direction) < 0.5
+
+
 def test_gloss_is_not_taken_for_near_lamps() -> None:
     frames, mask = photographs((0.0, 0.0, 0.0), gloss=0.2)
     far_off = Camera.pinhole(width=WIDTH, height=HEIGHT, focal_px=1e5)

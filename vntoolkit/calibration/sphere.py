@@ -93,7 +93,8 @@ def fit_response_to_switched_sphere(
         clipped=np.any([each.clipped for each in alone], axis=0),
     )
     outline, normal_map = _ball_in(total, camera, mask, options)
-    lit = fit_lamps_to_ball(alone, normal_map, dark)
+    seen = normal_map if mask is None else replace(normal_map, mask=normal_map.mask & mask)
+    lit = fit_lamps_to_ball(alone, seen, dark)
     _warn_of_lamps(lit)
     result = _fit(lit.under_far_lamps(alone, normal_map), outline, normal_map, mask, options, rng)
     colours = np.array([lamp.colour / np.linalg.norm(lamp.colour) for lamp in lit.lamps])

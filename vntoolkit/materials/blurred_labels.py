@@ -93,7 +93,7 @@ class BlurredLabels:
         Pieces narrower than a few pixels are left out: labels are settled so far already.
         """
         differ = (labels != others) & lit
-        joined = maximum_filter(differ, _LEAST_PIECE_PX)  # pictures of pixels apart leave holes in each other
+        joined = maximum_filter(differ, _LEAST_PIECE_PX)  # messages may reach every third pixel of a patch
         pieces, count = label(joined)
         is_wide = np.zeros(count + 1, np.bool_)
         is_wide[pieces[minimum_filter(joined, 2 * _LEAST_PIECE_PX - 1)]] = True

@@ -10,23 +10,26 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from numba import prange
 
-from vntoolkit.arrays import Mask
+from vntoolkit.arrays import ByteArray, Float32Array, Mask
 from vntoolkit.materials.reflectance import CAP
 from vntoolkit.native import njit
 
 _ROUNDS = 2  # there and back; three more change few patches
 _NONE, _HALF, _ONE, _OF_CAP = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(CAP**-2)
 _INFINITE = np.float32(np.inf)
-Single = npt.NDArray[np.float32]
-Labels = npt.NDArray[np.uint8]
 
 
 def labels_by_messages(
-    labels: Labels, active: Mask, prices: Single, steps: Single, logs: Single, reach: int, seam: float
-) -> Labels:
+    labels: ByteArray,
+    active: Mask,
+    prices: Float32Array,
+    steps: Float32Array,
+    logs: Float32Array,
+    reach: int,
+    seam: float,
+) -> ByteArray:
     """Return labels (h, w) of little cost of the active pixels, among all; the others keep theirs.
 
     prices: (h, w, m), of each label of active pixels. steps: (h, w, 2, 6), of log s to the pixel `reach` to

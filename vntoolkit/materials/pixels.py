@@ -119,9 +119,9 @@ class PixelLabeller:
         return found
 
     def decided_at_once(self, labels: MaterialLabels, active: Mask) -> MaterialLabels:
-        """Return what `decided`, which is called before with the same, looks for, by messages.
+        """Return labels as `decided` does, after it and with the same arguments, by messages.
 
-        They turn patches that lines cannot turn, and lose some that lines keep.
+        Messages turn patches that lines cannot turn, and lose some that lines keep.
         """
         prices = self._room_for(self._values)[1]
         return labels_by_messages(
