@@ -65,6 +65,12 @@ class BlurredLabels:
         self._precision = 1.0
         self._room: Single | None = None
 
+    def of_fitted(self, logs: Points) -> BlurredLabels:
+        """Return the same for materials that were fitted again."""
+        other = BlurredLabels(self._lamps, logs, self._spread)
+        other._seams, other._precision = self._seams, self._precision
+        return other
+
     @property
     def seams(self) -> Seams:
         """What tells the mixtures beside seams."""

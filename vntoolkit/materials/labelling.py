@@ -9,7 +9,7 @@ learned from the frame: a knit scatters them, flat paint hardly does.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -62,6 +62,21 @@ _STEEP = 0.5  # difference of two such normals from which a larger one hardly co
 _LEAST_STEP = 0.02  # excess of the mean step at seams that tells something
 
 
+class _Decided(NamedTuple):
+    """A frame that was decided as a whole. of_blocks: labels; of_pixels: (h, w). Prices are of blocks."""
+
+    split: SplitFrame
+    of_blocks: MaterialLabels
+    of_pixels: MaterialLabels
+    doubtful: float
+    mean_price: float
+
+    def is_of(self, split: SplitFrame, mask: Mask) -> bool:
+        """True for the same picture."""
+        is_alike = self.of_pixels.shape == mask.shape and self.split.factor == split.factor
+        return is_alike and np.array_equal(self.split.colours, split.colours)
+
+
 class MaterialLabeller:
     """Labels frame after frame. A pixel keeps its label while that explains it as well as before.
 
@@ -98,6 +113,8 @@ class MaterialLabeller:
         self._red: tuple[int, int] | None = None
         self._like: SplitFrame | None = None  # of its blocks and noise are all frames
         self._kept: tuple[Any, ...] = (None,) * 5
+        self._reference: _Decided | None = None
+        self._found: MaterialLabels = np.empty((0, 0), np.uint8)
         self.turned_deg: npt.NDArray[np.float32] | None = None  # by paint that was taken out last
         self._plain: npt.NDArray[np.float32] | None = None
         self._surface: Surface | None = None
@@ -109,9 +126,27 @@ class MaterialLabeller:
         """Let what the first frame told of noise, blur and lengths hold after `forget`, too.
 
         A subject of another size takes blocks of another size. Then the next first frame tells it again.
+        The frame itself, where a sequence starts with it, has the labels that it has now.
         """
         if self._fine is not None:
             self._kept = self._like, self._coarse, self._beside_seams, self._fine, self._red
+        if self._before is not None and self._split is not None:
+            self._reference = _Decided(
+                self._split, self._before.copy(), self._found.copy(), self._doubtful, self._mean_price
+            )
+
+    def of_fitted(self, reflectances: Points) -> MaterialLabeller:
+        """Return a labeller of the same materials, whose reflectances (m, 3) were fitted again.
+
+        What the first frame told this one of noise, blur and lengths holds for it, too, as do its labels.
+        """
+        other = MaterialLabeller(self._response, reflectances)
+        other._like, other._red, other._reference = self._like, self._red, self._reference
+        for name in ("_coarse", "_beside_seams", "_fine"):
+            part: PixelLabeller | BlurredLabels | None = getattr(self, name)
+            setattr(other, name, None if part is None else part.of_fitted(other._logs))
+        other.keep()
+        return other
 
     def forget(self) -> None:
         """Drop the labels of the frame before, so that a sequence may start anywhere."""
@@ -141,10 +176,16 @@ class MaterialLabeller:
             self.forget()
             return self.labels(frame, mask)
         self._cells = cells
+        known = self._reference
+        if self._before is None and known is not None and known.is_of(split, mask):
+            self._before, self._split, self._decided = known.of_blocks.copy(), split, cells
+            self._doubtful, self._mean_price = known.doubtful, known.mean_price
+            return known.of_pixels.copy()
         labels[box] = self._labels(part, inside, split, moved)
         if is_first:
             seen = frame, self._response, labels, self._reflectances
             self._red = None if self.seams is None else red_beside_seams(*seen, self.seams, mask)
+        self._found = labels
         return labels
 
     def _labels(self, frame: LinearFrame, mask: Mask, split: SplitFrame, moved: float) -> MaterialLabels:

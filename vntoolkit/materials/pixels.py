@@ -94,6 +94,12 @@ class PixelLabeller:
         self._lit: Mask = np.empty((0, 0), np.bool_)
         self._of_lengths: tuple[Single, MaterialLabels]
 
+    def of_fitted(self, logs: Points) -> PixelLabeller:
+        """Return the same for materials that were fitted again."""
+        other = PixelLabeller(self._lamps, logs, self.spread)
+        other._reach, other._variance, other.blur_px = self._reach, self._variance, self.blur_px
+        return other
+
     def look_at(self, values: FloatArray, lit: Mask) -> None:
         """Take the frame that is decided next. values: (h, w, 3), colours. lit: (h, w), where they count."""
         self._values, self._lit = values, lit

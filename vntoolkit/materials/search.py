@@ -62,7 +62,7 @@ _TOLERANCES = (
 _FIRST_TOLERANCE = 0.04
 _ROUGH = 0.2  # first tolerance of the regions' own reflectances, which falls by `FALL` a round
 _ROUNDS = 9
-_FIT_ROUNDS = 5
+_FIRST_ROUNDS, _FIT_ROUNDS = 4, 5
 _ALIKE = 0.1  # spread of log ρ of the regions of one material
 # Log ρ that two materials differ by at least, in spreads of lengths from region to region.
 _TWINS = 2.0
@@ -96,9 +96,9 @@ def find_materials(
 ) -> list[Material]:
     """Find the materials of a few frames, that of most pixels first; `count` or as many as there are.
 
-    frames, masks: of one size (h, w), every lamp as strong as at the centre. known: (count, 3), reflectances
-    that were found before, which are fitted again. Raises `BadInput` where the lamps' colours are not known,
-    or no pixel is reached by all three lamps.
+    frames, masks: of one size (h, w), every lamp as strong as at the centre. known: (m, 3), reflectances that
+    were found before: they are fitted again, and stay in their order. Raises `BadInput` where the lamps'
+    colours are not known, or no pixel is reached by all three lamps.
     """
     split, regions = _seen(frames, masks, response)
     if split.lit.sum() < _FEWEST_PIXELS or regions.count < _FEWEST_REGIONS:
@@ -108,15 +108,22 @@ def find_materials(
         )
     own, tolerance = _reflectances_of_regions(regions, split.lamps)
     changes = changes_of_light(regions, split, len(split.lit) // -(-len(masks[0]) // split.factor))
-    first = _proposals(own, regions, count) if known is None else np.log(known)
-    found = _fewest(first, regions, changes, split.lamps, tolerance, count)
+    if known is None:
+        first = _proposals(own, regions, count)
+        found = _fewest(first, regions, split.lamps, tolerance, count)
+    else:
+        count = len(known)
+        found = _settled(np.log(known), None, regions, split.lamps, tolerance, _FIRST_ROUNDS, None)
+    found = _in_uneven_light(found, regions, changes, split.lamps, tolerance, count)
     change, even = found.change, levelled(regions, found.change)
     fixed = even, split.lamps, tolerance, 1, found.spread
     found, of_rig = _settled(found.logs, found.labels, *fixed), np.ones(1, np.bool_)
     if count is None:
         found = _woven(found, even, split.lamps)
-    plain = _settled(np.zeros((1, 3)), np.zeros(regions.count, np.int64), *fixed, of_rig)
-    if count is None and plain.length <= found.length:
+    plain = None
+    if count is None:
+        plain = _settled(np.zeros((1, 3)), np.zeros(regions.count, np.int64), *fixed, of_rig)
+    if plain is not None and plain.length <= found.length:
         found = plain
     else:
         found, of_rig = _in_rigs_hue(found, even, split.lamps, tolerance)
@@ -137,7 +144,7 @@ def find_materials(
             )
         fitted = reflectance_from_fit(own_log, block, pixels, split.lamps)
         materials.append(Material(reflectance=fitted, share=share))
-    return sorted(materials, key=lambda material: -material.share)
+    return materials if known is not None else sorted(materials, key=lambda material: -material.share)
 
 
 def _seen(
@@ -230,18 +237,15 @@ class _Found:
     change: FloatArray
 
 
-def _fewest(
-    logs: Points, regions: Regions, changes: FloatArray, lamps: Lamps, tolerance: float, count: int | None
-) -> _Found:
+def _fewest(logs: Points, regions: Regions, lamps: Lamps, tolerance: float, count: int | None) -> _Found:
     """Return the shortest description, or that of `count` materials.
 
     Materials are left out one after the other; then what is still unexplained proposes others, as long as
-    that makes the description shorter; so do patches of one material that differ. Last, light may be uneven.
-    changes: of `changes_of_light`.
+    that makes the description shorter; so do patches of one material that differ.
     """
     if count == 1:  # start from the proposal with most votes; all others would be left out again
         logs = logs[:1]
-    found = _settled(logs, None, regions, lamps, tolerance, 4, None)
+    found = _settled(logs, None, regions, lamps, tolerance, _FIRST_ROUNDS, None)
     found = _thinned(found, regions, lamps, tolerance, count)
     for _ in range(_SPLITS):
         more = _of_unexplained(found, regions, lamps, tolerance)
@@ -260,11 +264,18 @@ def _fewest(
         if again.length >= found.length or _has_twins(again):
             break
         found = again
-    known = regions, lamps, tolerance, 2, found.spread
-    again = _settled(found.logs, found.labels, *known, changes=changes)
-    if again.length < found.length:
-        found = _thinned(again, regions, lamps, tolerance, count, changes=changes)
     return found
+
+
+def _in_uneven_light(
+    found: _Found, regions: Regions, changes: FloatArray, lamps: Lamps, tolerance: float, count: int | None
+) -> _Found:
+    """Return the description with changes of light, (n, CHANGES, 3), where these make it shorter."""
+    fixed = regions, lamps, tolerance, 2, found.spread
+    again = _settled(found.logs, found.labels, *fixed, changes=changes)
+    if again.length >= found.length:
+        return found
+    return _thinned(again, regions, lamps, tolerance, count, changes=changes)
 
 
 def _thinned(

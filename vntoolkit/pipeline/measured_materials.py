@@ -1,6 +1,7 @@
 """The subject's materials, measured once on the first frames of a run."""
 
 import logging
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,6 +10,7 @@ from scipy.ndimage import gaussian_filter
 from vntoolkit.arrays import FloatArray, Mask, Vector3
 from vntoolkit.errors import BadCapture, BadInput
 from vntoolkit.io.footage.captures import Capture
+from vntoolkit.io.footage.decoding import EncodedFrame
 from vntoolkit.io.footage.mattes import Mattes
 from vntoolkit.io.results.manifest import MaterialEntry
 from vntoolkit.materials.labelling import MaterialLabeller
@@ -20,7 +22,7 @@ from vntoolkit.normals.inversion import relative_albedo_from_frame
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.levelling import leveller_of
 from vntoolkit.photometry.response import LightResponse, scaled_normals_from_rgb
-from vntoolkit.pipeline.block_work import ReconstructionJob
+from vntoolkit.pipeline.block_work import ReconstructionJob, read_ahead
 from vntoolkit.pipeline.found_lamps import lamps_in_words
 from vntoolkit.pipeline.frame_processor import FrameProcessor
 from vntoolkit.pipeline.options import MaterialSearch
@@ -50,68 +52,51 @@ _LARGEST_TILT_DEG = 45.0
 _REMEDY = "film the subject while it turns, or calibrate on its own material"
 
 
-def measured_materials(
-    job: ReconstructionJob, capture: Capture, mattes: Mattes, numbers: range
-) -> tuple[list[MaterialEntry], float | None]:
-    """Return the materials, empty for the rig's alone, and then how bright the subject is against the rig's.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MeasuredMaterials:
+    """What the first frames tell of a subject's materials.
 
-    Logs a warning where the footage cannot tell, or is not of the calibration material though it counts as
-    such. Raises `BadInput` where a number of materials is asked for that cannot be told, `BadCapture` where
-    the first frame shows nothing.
+    entries: empty where all is the rig's. relative_albedo: how bright the subject is then against the rig's
+    material; None where there are others. labeller: of the materials, which knows what a frame told of noise
+    and blur; None where all is the rig's.
     """
-    firsts = _first_frames(job, capture, mattes, numbers)
-    response, choice = job.rig.response, job.options.materials
-    if not seeks_materials(job):
-        found: list[Material] = []
-    else:
-        levelled, subjects = zip(*((each.by_strength, each.subject) for each in firsts), strict=True)
-        central = response.central
-        first = levelled[0], subjects[0], central
-        count = None if isinstance(choice, MaterialSearch) else choice
-        found = find_materials(levelled, subjects, central, count)
-        seen = _Labelled.by(found, *first)
-        if count is None and seen.left_at_seams() > _MOST_LEFT:
-            one = find_materials(levelled, subjects, central, 1)
-            if _is_of_rig(one[0], *first) or _are_alike(found, one[0], *first):
-                found, seen = one, _Labelled.by(one, *first)
-        found = _told(found, choice)
-        found, pigments = _with_pigments(found, seen)
-        found = _explaining(found, pigments, seen, choice)
-        if choice is MaterialSearch.AUTO and len(found) == 1 and _is_of_rig(found[0], *first):
-            found = []
-    if found:
-        return [_entry(material, pigment) for material, pigment in zip(found, pigments, strict=True)], None
-    try:
-        albedo = relative_albedo_from_frame(firsts[0].frame, response, firsts[0].mask)
-    except BadInput as error:
-        raise BadCapture(f"{firsts[0].name}: {error}") from error
-    _warn_of_other_material(job, firsts[0].frame, firsts[0].mask, albedo)
-    return [], float(np.format_float_positional(albedo, precision=4, fractional=False))
+
+    entries: list[MaterialEntry]
+    relative_albedo: float | None = None
+    labeller: MaterialLabeller | None = None
 
 
-def refitted_materials(
-    job: ReconstructionJob, capture: Capture, mattes: Mattes, numbers: range
-) -> list[MaterialEntry]:
-    """Return the job's materials, fitted again to what the first frames show under lamps that are near.
+class FirstFrames:
+    """The frames that materials are measured on: the first, and some in which the subject has moved."""
 
-    The search takes the lamps' directions at the centre. With labels known, each pixel's own are taken.
-    """
-    response, known = job.rig.response, np.array(job.reflectances)
-    labeller, far, subjects = MaterialLabeller(response.central, known), [], []
-    for each in _first_frames(job, capture, mattes, numbers):
-        labeller.forget()
-        labels = labeller.labels(each.by_strength, each.subject)
-        labeller.keep()
-        seams = labeller.seams
-        # Colours that a camera interpolated make normals longer, most in dark paint: as noise does.
-        weighed = None if seams is None or seams.red is None else seams.of_any_length
-        light = relit(each.frame, response.central, labels, known, seams=weighed, mask=each.subject)
-        plain = leveller_of(response, labels.shape).frame(light)
-        far.append(relit(plain, response.central, labels, 1.0 / known))
-        subjects.append(each.subject)
-    found = find_materials(far, subjects, response.central, len(known), known)
-    found, pigments = _with_pigments(found, _Labelled.by(found, far[0], subjects[0], response.central))
-    return [_entry(material, pigment) for material, pigment in zip(found, pigments, strict=True)]
+    def __init__(self, capture: Capture, mattes: Mattes, numbers: range) -> None:
+        self._capture, self._mattes = capture, mattes
+        there = [n for n in capture.present if n in numbers and not mattes.missing([n])]
+        self._numbers = there[: _APART * _LOOKED_AT : _APART]
+        self._encoded: dict[int, EncodedFrame] = {}
+
+    def seen(self, job: ReconstructionJob) -> Iterator["_FirstFrame"]:
+        """Yield them in linear light, decoded once however often they are asked for.
+
+        The first alone where the job seeks no materials.
+        """
+        numbers = self._numbers if seeks_materials(job) else self._numbers[:1]
+        for encoded in read_ahead(map(self._decoded, numbers), len(numbers) if job.threads > 1 else 0):
+            mask = self._mattes.of(encoded)
+            processor = FrameProcessor(job.rig, job.options, mask, self._capture.background)
+            frame = processor.linear(encoded)
+            yield _FirstFrame(
+                name=encoded.name,
+                frame=frame,
+                by_strength=processor.by_strength(frame),
+                mask=processor.mask,
+                subject=processor.lit_subject(frame),
+            )
+
+    def _decoded(self, number: int) -> EncodedFrame:
+        if number not in self._encoded:
+            self._encoded[number] = self._capture.encoded(number)
+        return self._encoded[number]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -125,25 +110,66 @@ class _FirstFrame:
     subject: Mask
 
 
-def _first_frames(
-    job: ReconstructionJob, capture: Capture, mattes: Mattes, numbers: range
-) -> list[_FirstFrame]:
-    there = [n for n in capture.present if n in numbers and not mattes.missing([n])]
-    seen = []
-    for number in there[: _APART * (_LOOKED_AT if seeks_materials(job) else 1) : _APART]:
-        encoded = capture.encoded(number)
-        processor = FrameProcessor(job.rig, job.options, mattes.of(encoded), capture.background)
-        frame = processor.linear(encoded)
-        seen.append(
-            _FirstFrame(
-                name=encoded.name,
-                frame=frame,
-                by_strength=processor.by_strength(frame),
-                mask=processor.mask,
-                subject=processor.lit_subject(frame),
-            )
-        )
-    return seen
+def measured_materials(job: ReconstructionJob, first_frames: FirstFrames) -> MeasuredMaterials:
+    """Measure the materials, or how bright the rig's is.
+
+    Logs a warning where the footage cannot tell, or is not of the calibration material though it counts as
+    such. Raises `BadInput` where a number of materials is asked for that cannot be told, `BadCapture` where
+    the first frame shows nothing.
+    """
+    firsts = list(first_frames.seen(job))
+    response, choice = job.rig.response, job.options.materials
+    if seeks_materials(job):
+        levelled, subjects = zip(*((each.by_strength, each.subject) for each in firsts), strict=True)
+        central = response.central
+        first = levelled[0], subjects[0], central
+        count = None if isinstance(choice, MaterialSearch) else choice
+        found = find_materials(levelled, subjects, central, count)
+        seen = _Labelled.by(found, *first)
+        if count is None and seen.left_at_seams() > _MOST_LEFT:
+            one = find_materials(levelled, subjects, central, 1)
+            if _is_of_rig(one[0], *first) or _are_alike(found, one[0], *first):
+                found, seen = one, _Labelled.by(one, *first)
+        found = _told(found, choice)
+        found, pigments = _with_pigments(found, seen)
+        found = _explaining(found, pigments, seen, choice)
+        if found and not (choice is MaterialSearch.AUTO and len(found) == 1 and _is_of_rig(found[0], *first)):
+            return MeasuredMaterials(entries=_entries(found, pigments), labeller=seen.labeller)
+    try:
+        albedo = relative_albedo_from_frame(firsts[0].frame, response, firsts[0].mask)
+    except BadInput as error:
+        raise BadCapture(f"{firsts[0].name}: {error}") from error
+    _warn_of_other_material(job, firsts[0].frame, firsts[0].mask, albedo)
+    short = float(np.format_float_positional(albedo, precision=4, fractional=False))
+    return MeasuredMaterials(entries=[], relative_albedo=short)
+
+
+def refitted_materials(
+    job: ReconstructionJob, first_frames: FirstFrames, labeller: MaterialLabeller
+) -> list[MaterialEntry]:
+    """Return the job's materials, fitted again to what the first frames show under lamps that are near.
+
+    The search takes the lamps' directions at the centre. With labels known, each pixel's own are taken.
+    labeller: of the materials as they were measured.
+    """
+    response, known = job.rig.response, np.array(job.reflectances)
+    labeller, far, subjects, labels = labeller.of_fitted(known), [], [], []
+    for each in first_frames.seen(job):
+        labeller.forget()
+        labels.append(labeller.labels(each.by_strength, each.subject))
+        seams = labeller.seams
+        # Colours that a camera interpolated make normals longer, most in dark paint: as noise does.
+        weighed = None if seams is None or seams.red is None else seams.of_any_length
+        light = relit(each.frame, response.central, labels[-1], known, seams=weighed, mask=each.subject)
+        plain = leveller_of(response, each.subject.shape).frame(light)
+        far.append(relit(plain, response.central, labels[-1], 1.0 / known))
+        subjects.append(each.subject)
+    found = find_materials(far, subjects, response.central, known=known)
+    labeller = labeller.of_fitted(np.array([each.reflectance.values for each in found]))
+    seen = _Labelled(
+        frame=far[0], mask=subjects[0], response=response.central, labeller=labeller, labels=labels[0]
+    )
+    return _entries(*_with_pigments(found, seen))
 
 
 def seeks_materials(job: ReconstructionJob) -> bool:
@@ -197,6 +223,7 @@ class _Labelled:
         """Label a frame."""
         labeller = MaterialLabeller(response, np.array([each.reflectance.values for each in found]))
         labels = labeller.labels(frame, mask)
+        labeller.keep()
         return cls(frame=frame, mask=mask, response=response, labeller=labeller, labels=labels)
 
     def left_at_seams(self) -> float:
@@ -348,6 +375,10 @@ def _warn_of_other_material(job: ReconstructionJob, frame: LinearFrame, mask: Ma
             "materials: the subject does not look like the calibration material: %s; %s",
             " and ".join(wrong), remedy,
         )  # fmt: skip
+
+
+def _entries(found: list[Material], pigments: list[Vector3 | None]) -> list[MaterialEntry]:
+    return [_entry(material, pigment) for material, pigment in zip(found, pigments, strict=True)]
 
 
 def _entry(material: Material, pigment: Vector3 | None) -> MaterialEntry:

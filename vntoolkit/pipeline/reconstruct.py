@@ -33,7 +33,13 @@ from vntoolkit.pipeline.block_work import Block, BlockWorker, ReconstructionJob
 from vntoolkit.pipeline.cluster import require_scheduler, run_blocks_on_cluster
 from vntoolkit.pipeline.found_lamps import with_found_lamps
 from vntoolkit.pipeline.frame_processor import FrameProcessor
-from vntoolkit.pipeline.measured_materials import measured_materials, refitted_materials, seeks_materials
+from vntoolkit.pipeline.measured_materials import (
+    FirstFrames,
+    MeasuredMaterials,
+    measured_materials,
+    refitted_materials,
+    seeks_materials,
+)
 from vntoolkit.pipeline.options import SENSOR_PREFIX, MaterialSearch, option_values
 from vntoolkit.pipeline.outputs import FRAME_FILES
 from vntoolkit.pipeline.painted_surface import TrackedReflectance
@@ -169,12 +175,14 @@ def _prepared(
     if earlier is None and job.surface is not None:  # the materials are those of the reconstruction refined
         earlier = manifests.read_manifest(job.surface.result)
     job = _with_lamps(job, capture, mattes, numbers, earlier)
-    job, materials = resolve_options(job, capture, mattes, numbers, earlier)
+    first_frames = FirstFrames(capture, mattes, numbers)
+    job, measured = resolve_options(job, capture, mattes, numbers, earlier, first_frames)
     if seeks_materials(job) and job.surface is None:
-        examined = _require_plausible(job, capture, mattes, numbers)
+        examined = _require_plausible(job, capture, mattes, numbers, measured.labeller)
     job = _with_blur(_with_near_lamps(job, examined, earlier), examined, earlier)
-    if earlier is None and materials and job.rig.response.variation is not None:
-        materials = refitted_materials(job, capture, mattes, numbers)
+    materials = measured.entries
+    if earlier is None and measured.labeller is not None and job.rig.response.variation is not None:
+        materials = refitted_materials(job, first_frames, measured.labeller)
         job = _of_materials(job, materials)
     manifest = manifest_of_run(job, capture, mattes, frames, materials, examined.findings)
     if resumes:
@@ -259,13 +267,17 @@ def _run(
 
 
 def _require_plausible(
-    job: ReconstructionJob, capture: Capture, mattes: Mattes, numbers: range
-) -> Examination:
-    """Log and return what the footage tells of mistakes; raise `FatalFinding` for one that ruins normals."""
+    job: ReconstructionJob, capture: Capture, mattes: Mattes, numbers: range,
+    labeller: MaterialLabeller | None = None,
+) -> Examination:  # fmt: skip
+    """Log and return what the footage tells of mistakes; raise `FatalFinding` for one that ruins normals.
+
+    labeller: of the job's materials as they were measured; None where an earlier run measured them.
+    """
     rig = job.rig if job.calibrated is None else replace(job.rig, transfer=job.calibrated)
     try:
         mask, numbers = mattes.judged(capture, numbers)
-        examined = examine_capture(capture, rig, mask, numbers, _in_one_material(job, mask))
+        examined = examine_capture(capture, rig, mask, numbers, _in_one_material(job, mask, labeller))
     except BadCapture as problem:  # a bad frame is reported when its turn comes
         logger.debug("plausibility not checked: %s", problem)
         return Examination(findings=[])
@@ -300,13 +312,14 @@ def _with_blur(
 
 
 def _in_one_material(
-    job: ReconstructionJob, mask: Mask | None
+    job: ReconstructionJob, mask: Mask | None, labeller: MaterialLabeller | None = None
 ) -> Callable[[LinearFrame], LinearFrame] | None:
     """Return what makes a frame look as if its subject were of the rig's material; None where it is."""
     if not job.reflectances:
         return None
     central, known = job.rig.response.central, (np.array(job.reflectances), np.array(job.pigments))
-    labeller, processor = MaterialLabeller(central, known[0]), FrameProcessor(job.rig, job.options, mask)
+    labeller = MaterialLabeller(central, known[0]) if labeller is None else labeller.of_fitted(known[0])
+    processor = FrameProcessor(job.rig, job.options, mask)
 
     def judged(frame: LinearFrame) -> LinearFrame:
         # A backdrop's noise looks like dark paint. It would give the subject's rim a wrong label.
@@ -364,7 +377,8 @@ def resolve_options(
     mattes: Mattes,
     numbers: range,
     earlier: manifests.Manifest | None,
-) -> tuple[ReconstructionJob, list[manifests.MaterialEntry]]:
+    first_frames: FirstFrames,
+) -> tuple[ReconstructionJob, MeasuredMaterials]:
     """Return the job with the options that depend on rig and footage resolved, and the materials.
 
     earlier: manifest of the run that this one goes on with, None for none; what that run measured and chose
@@ -389,16 +403,17 @@ def resolve_options(
         raise BadInput(f"reference frame: the capture has only {capture.info.frame_count} frames")
     job = replace(job, options=replace(options, reference_frame=reference))
     if pressed:
-        return job, []
+        return job, MeasuredMaterials(entries=[])
     if earlier is not None and earlier.options.get("materials") == option_values(job.options)["materials"]:
-        materials = earlier.materials
         albedo = earlier.options.get("inversion.relative_albedo")
+        albedo = albedo if isinstance(albedo, float) else None
+        measured = MeasuredMaterials(entries=list(earlier.materials), relative_albedo=albedo)
     else:
-        materials, albedo = measured_materials(job, capture, mattes, numbers)
-    if isinstance(albedo, float):
-        options = replace(job.options, inversion=replace(options.inversion, relative_albedo=albedo))
-        job = replace(job, options=options)
-    return _of_materials(job, materials), list(materials)
+        measured = measured_materials(job, first_frames)
+    if measured.relative_albedo is not None:
+        inversion = replace(options.inversion, relative_albedo=measured.relative_albedo)
+        job = replace(job, options=replace(job.options, inversion=inversion))
+    return _of_materials(job, measured.entries), measured
 
 
 def _of_materials(job: ReconstructionJob, materials: Sequence[manifests.MaterialEntry]) -> ReconstructionJob:
