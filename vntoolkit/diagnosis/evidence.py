@@ -20,6 +20,7 @@ FEW_PIXELS = 50_000  # of an averaged frame: enough for every statistic here, an
 PIXELS_BETWEEN_SEAMS = 200_000
 _LIT = 0.3  # of the length that the brightest twentieth exceeds: what is darker is backdrop or in shadow
 _SUBJECT = 0.1  # of the brightest hundredth of the picture: dark paint is surface, too
+_LEAST_SHARE = 0.06  # of the strongest lamp's light: the rest may be shadow
 _LEAST_CHANNEL = 0.01  # of full scale; below it noise and the black level decide the colour
 _BLOCKS = 6  # along each side: standard errors come from leaving out one of 36 blocks …
 _LEAST_BLOCK_PX = 144  # … or of fewer: the surface of smaller ones is not independent of their neighbours'
@@ -94,6 +95,14 @@ class Evidence:
             return chosen
         chosen &= brightest > _LIT * np.percentile(brightest[chosen], 95)
         return np.asarray(chosen)
+
+    @cached_property
+    def lit(self) -> BoolArray:
+        """(k, h, w): reached by all lamps, as far as their colours are known; else bright in all channels."""
+        response = self.rig.response
+        split = response.contributions_from_rgb.astype(np.float32)
+        of_lamps = (self.light - self.ambient) @ split.T
+        return np.asarray(darkest_channel(of_lamps) > _LEAST_SHARE * brightest_channel(of_lamps))
 
     @cached_property
     def levelled(self) -> "Evidence":

@@ -50,7 +50,7 @@ def fit_nearness(evidence: Evidence) -> Nearness | None:
     response = evidence.rig.response
     if response.variation is not None:
         return None
-    pixels = surface_pixels(evidence, lambda k, _: evidence.surface[k])
+    pixels = surface_pixels(evidence, lambda k, _: evidence.surface[k] & evidence.lit[k])
     if len(pixels) < _FEWEST_PIXELS:
         return None
     scaled = pixels.scaled_normals(pixels.rgb)

@@ -35,7 +35,7 @@ from vntoolkit.native import njit
 _FIRST_BLUR_PX = 1.0  # of a lens and a Bayer pattern; sharper pictures show it, and are decided again
 _SEAM_PRICE = 1.0  # of two pixels of two materials side by side
 _SHARED = 4.0  # pixels that share their errors: texture and blur reach over 2 × 2
-_BLOCK_PX, _BLOCK_SWEEPS, _SWEEPS = 4, 3, 5
+_BLOCK_PX, _BLOCK_SWEEPS, _SWEEPS = 4, 1, 5
 _LEAST_PIECE_PX = 3
 _LOOK_PX = 2  # beside a block for labels that it may get
 _ENOUGH = 0.01  # share of the pixels beside seams that change when all is settled

@@ -50,7 +50,7 @@ _BESIDE = 4  # … and those that near to a seam
 # Share of the pixels of a frame that is decided as a whole: in later frames what costs more is doubtful.
 _DOUBTFUL_SHARE = 0.1
 _CARRIED_SWEEPS = 2  # and one where the picture moved by a block at most
-_AS_A_WHOLE = 8  # blocks that the picture moves from one frame decided as a whole to the next
+_AS_A_WHOLE = 6  # blocks that the picture moves from one frame decided as a whole to the next
 _BOX_BLOCKS = 32  # that a subject moves before another part of the frame is looked at
 # Two pixels with a seam between them, farther apart than its blur and its labels' errors reach.
 _APART_PX = 6
@@ -165,7 +165,7 @@ class MaterialLabeller:
         if self._leveller is None:
             part = LinearFrame(rgb=frame.rgb[box], clipped=frame.clipped[box])
         else:
-            part = self._leveller.frame_by_strength(frame, box)
+            part = self._leveller.part_by_strength(frame, box)
         is_first = self._like is None
         split = split_frame(part, self._response, inside, like=self._like)
         cells = cells_of(split.colours)

@@ -270,12 +270,14 @@ def _fewest(logs: Points, regions: Regions, lamps: Lamps, tolerance: float, coun
 def _in_uneven_light(
     found: _Found, regions: Regions, changes: FloatArray, lamps: Lamps, tolerance: float, count: int | None
 ) -> _Found:
-    """Return the description with changes of light, (n, CHANGES, 3), where these make it shorter."""
+    """Return the description with changes of light, (n, CHANGES, 3), where these make it shorter.
+
+    They may take the place of materials, and make it shorter only then.
+    """
     fixed = regions, lamps, tolerance, 2, found.spread
     again = _settled(found.logs, found.labels, *fixed, changes=changes)
-    if again.length >= found.length:
-        return found
-    return _thinned(again, regions, lamps, tolerance, count, changes=changes)
+    again = _thinned(again, regions, lamps, tolerance, count, found.length, changes)
+    return min(found, again, key=lambda each: each.length)
 
 
 def _thinned(

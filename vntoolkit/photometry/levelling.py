@@ -59,17 +59,25 @@ class Leveller:
         self.maps = _maps(response, shape, level)
         self._by_strength = _maps(response, shape, by_strength)
 
-    def frame(self, frame: LinearFrame) -> LinearFrame:
-        """Return the frame as the response of the centre would have formed it."""
-        return _mapped(frame, self.maps)
+    def frame(self, frame: LinearFrame, box: Box | None = None) -> LinearFrame:
+        """Return the frame as the response of the centre would have formed it.
+
+        box: the rows and the columns that count; beyond them all is 0. None for all.
+        """
+        return _mapped(frame, self.maps, box)
 
     def frame_by_strength(self, frame: LinearFrame, box: Box | None = None) -> LinearFrame:
         """Return the frame with every light as strong as at the centre; a missing light stays missing.
 
-        The lights' directions remain those of the pixel, so normals computed from it have a small error.
-        box: the rows and the columns that are returned; None for all.
+        The lights' directions remain those of the pixel, so normals computed from it have a small error. box:
+        as for `frame`.
         """
         return _mapped(frame, self._by_strength, box)
+
+    def part_by_strength(self, frame: LinearFrame, box: Box) -> LinearFrame:
+        """Return `frame_by_strength` of some rows and columns alone."""
+        part = LinearFrame(rgb=frame.rgb[box], clipped=frame.clipped[box], number=frame.number)
+        return _mapped(part, self._by_strength, None, (int(box[0].start), int(box[1].start)))
 
 
 @lru_cache(maxsize=1)
@@ -111,25 +119,35 @@ def _maps(
     return ColourMaps(np.ascontiguousarray(grid, np.float32), step, ramp)
 
 
-def _mapped(frame: LinearFrame, maps: ColourMaps, box: Box | None = None) -> LinearFrame:
+def _mapped(
+    frame: LinearFrame, maps: ColourMaps, box: Box | None, corner: tuple[int, int] = (0, 0)
+) -> LinearFrame:
+    """corner: row and column of the picture that the frame begins with."""
     rows, columns = box or (slice(0, frame.shape[0]), slice(0, frame.shape[1]))
-    clipped = frame.clipped[rows, columns]
-    rgb = np.empty((*clipped.shape, 3), np.float32)
-    _map_kernel(np.ascontiguousarray(frame.rgb, np.float32), maps, int(rows.start), int(columns.start), rgb)
-    return LinearFrame(rgb=rgb, clipped=clipped, number=frame.number)
+    inside = int(rows.start), int(rows.stop), int(columns.start), int(columns.stop)
+    out = np.empty(frame.rgb.shape, np.float32)
+    _map_kernel(np.ascontiguousarray(frame.rgb, np.float32), maps, corner, inside, out)
+    return LinearFrame(rgb=out, clipped=frame.clipped, number=frame.number)
 
 
 @njit(cache=True, parallel=True, fastmath=FLAGS, error_model="numpy")
-def _map_kernel(rgb: Any, maps: ColourMaps, top: int, left: int, out: Any) -> None:
-    height, width = out.shape[:2]
-    for v in prange(height):
+def _map_kernel(rgb: Any, maps: ColourMaps, corner: Any, inside: Any, out: Any) -> None:
+    top, bottom, left, right = inside
+    width = right - left
+    for v in prange(len(out)):
+        to = out[v]
+        if not top <= v < bottom:
+            to[:] = 0.0
+            continue
         r, g, b = np.empty(width, np.float32), np.empty(width, np.float32), np.empty(width, np.float32)
-        line, to = rgb[top + v, left : left + width], out[v]
+        line = rgb[v, left:right]
         for u in range(width):
             r[u], g[u], b[u] = line[u, 0], line[u, 1], line[u, 2]
-        map_row(maps, np.int64(v) + top, left, r, g, b)
+        map_row(maps, np.int64(v) + corner[0], left + corner[1], r, g, b)
+        to[:left] = 0.0
+        to[right:] = 0.0
         for u in range(width):
-            to[u, 0], to[u, 1], to[u, 2] = r[u], g[u], b[u]
+            to[left + u, 0], to[left + u, 1], to[left + u, 2] = r[u], g[u], b[u]
 
 
 @njit(cache=True, error_model="numpy")

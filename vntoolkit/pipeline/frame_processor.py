@@ -25,7 +25,7 @@ from vntoolkit.normals import expected_error
 from vntoolkit.normals.gel import GelInverter, drift_of_change
 from vntoolkit.normals.inversion import normals_from_encoded, normals_from_frame, relative_albedo_from_frame
 from vntoolkit.photometry.frame import ALL_LIT, LinearFrame
-from vntoolkit.photometry.levelling import leveller_of
+from vntoolkit.photometry.levelling import Box, leveller_of
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import Transfer, TransferCurve, encoded_from_linear
 from vntoolkit.pipeline.contact import contact_from_depth, rested
@@ -142,13 +142,14 @@ class FrameProcessor:
         does.
         """
         self.forget()
-        seen = self.seen(frame, matte)
-        if self._labeller is not None:
-            self._labeller.keep()
         if ties_depth:
-            result = self._normals(seen)
+            result = self._normals(self.seen(frame, matte))
             if result.normal_map.mask.any():
                 self._anchor = DepthAnchor(self._integrated(result))
+        else:
+            self._labelled(frame, matte)
+        if self._labeller is not None:
+            self._labeller.keep()
         self.forget()
 
     def forget(self) -> None:
@@ -214,17 +215,11 @@ class FrameProcessor:
 
         Frames come in order.
         """
-        require_shape(frame.values, (*self._rig.footage_size[::-1], 3), frame.name)
-        self._look_inside(matte)
-        if self._is_plain(frame):
+        linear, materials = self._labelled(frame, matte)
+        if linear is None:
             return SeenFrame(frame=frame, mask=self._mask)
-        linear = filmed = self.linear(frame)
-        materials, turned_deg = None, None
-        if self._painted is not None:
-            self._mask = self._mask & self._painted.mask(frame.number)
-        if self._labeller is not None:
-            self._mask = self.lit_subject(linear)
-            materials = self._labeller.labels(linear, self._mask)
+        filmed, turned_deg = linear, None
+        if self._labeller is not None and materials is not None:
             linear = self._labeller.relit(linear, materials, self._mask, box_of(self._mask))
             turned_deg = self._labeller.turned_deg
             if self._bounds_deg.any():
@@ -237,6 +232,22 @@ class FrameProcessor:
         return SeenFrame(
             frame=frame, mask=self._mask, linear=linear, materials=materials, turned_deg=turned_deg
         )
+
+    def _labelled(
+        self, frame: EncodedFrame, matte: Mask | None
+    ) -> tuple[LinearFrame | None, MaterialLabels | None]:
+        """Return a frame in linear light, None where one loop decodes and inverts it, and its materials."""
+        require_shape(frame.values, (*self._rig.footage_size[::-1], 3), frame.name)
+        self._look_inside(matte)
+        if self._is_plain(frame):
+            return None, None
+        linear = self.linear(frame)
+        if self._painted is not None:
+            self._mask = self._mask & self._painted.mask(frame.number)
+        if self._labeller is None:
+            return linear, None
+        self._mask = self.lit_subject(linear)
+        return linear, self._labeller.labels(linear, self._mask)
 
     def _normals(self, seen: SeenFrame) -> FrameResult:
         frame, mask, linear, residual_deg = seen.frame, seen.mask, seen.linear, self._residual_deg
@@ -264,7 +275,7 @@ class FrameProcessor:
         labels, lamps, has_shadows = None, None, self._options.shadows is not ShadowMethod.NONE
         level = linear
         if self._leveller is not None and (has_shadows or self._with_errors):
-            level = self._leveller.frame(linear)
+            level = self._leveller.frame(linear, box_of(mask))
         if has_shadows:
             normal_map, labels, lamps = self._normals_under_shadow(linear, level, mask)
         else:
@@ -291,7 +302,7 @@ class FrameProcessor:
         self, linear: LinearFrame, frame: LinearFrame, mask: Mask
     ) -> tuple[VisibilityLabels, Mask, LinearFrame]:
         """Return labels, where they hold, and what they were found in. frame: as the central M forms it."""
-        inversion, seen = self._options.inversion, self.by_strength(linear)
+        inversion, seen = self._options.inversion, self.by_strength(linear, box_of(mask))
         darkest = inversion.darkest * inversion.relative_albedo
         mask = brighter_than(frame, self._central, darkest, mask)
         if inversion.clipped_factor == 0.0:
@@ -314,9 +325,12 @@ class FrameProcessor:
         found = recover_surface(frame, labels, lamps.separated, mask, self.camera, start=surface)
         return found.normal_map, labels, lamps
 
-    def by_strength(self, linear: LinearFrame) -> LinearFrame:
-        """Return a linear frame with every lamp as strong as at the image's centre."""
-        return linear if self._leveller is None else self._leveller.frame_by_strength(linear)
+    def by_strength(self, linear: LinearFrame, box: Box | None = None) -> LinearFrame:
+        """Return a linear frame with every lamp as strong as at the image's centre.
+
+        box: rows and columns that count; beyond them all is 0. None for all.
+        """
+        return linear if self._leveller is None else self._leveller.frame_by_strength(linear, box)
 
     def lit_subject(self, linear: LinearFrame) -> Mask:
         """Return (h, w), the pixels of interest without the backdrop, whose noise is like dark paint."""
