@@ -94,6 +94,20 @@ def test_what_lies_within_two_errors_is_not_established():
     assert 0.95 < Nearness(value=0.2, error=0.02).established / 0.2 < 1
 
 
+def test_what_a_lamp_does_not_reach_tells_nothing():
+    """Shadows of one lamp on one side of the picture look like a lamp that is near on the other."""
+    light, response, _ = seen_under_lamps(2, 0.12)
+    split = response.contributions_from_rgb
+    of_lamps = light @ split.T
+    of_lamps[::3, : W // 2, 0] = 0.0
+    shadowed = of_lamps @ np.linalg.inv(split).T
+    rig, found = Rig(camera=CAMERA, response=response), []
+    for seen in (light, shadowed):
+        frame = LinearFrame(rgb=seen.astype(np.float32))
+        found.append(fit_nearness(evidence_from_frames([frame], rig, Transfer())))
+    assert abs(found[1].value - found[0].value) < found[0].error
+
+
 def test_paint_beside_seams_is_left_out():
     """What is unusable beside a pixel does not reach it by the blur."""
     light, response, _ = seen_under_lamps(2, 0.12)

@@ -191,6 +191,30 @@ def test_light_that_changes_slowly_over_a_subject_is_no_further_material() -> No
     assert len(find_materials([frame], [mask], RESPONSE)) == 1
 
 
+@pytest.mark.parametrize("seed", [1, 4, 6])
+def test_paints_in_light_that_changes_from_side_to_side_are_not_split(seed: int) -> None:
+    """A tenth more or less light at the rim than in the middle, for each lamp along another line."""
+    rng = np.random.default_rng(seed)
+    normals, mask = dome(160)
+    v, u = (np.indices(mask.shape) - 79.5) / 80.0
+    squares = rng.integers(0, 3, (8, 8))[((v + 1) * 3.99).astype(int), ((u + 1) * 3.99).astype(int)]
+    ways = rng.normal(size=(3, 2))
+    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+    gains = np.exp(0.12 * (ways[:, 0] * u[..., None] + ways[:, 1] * v[..., None]))
+    light = np.maximum(normals @ DIRECTIONS.T, 0.0) * gains * PAINTS[squares] @ COLOURS
+    light += rng.normal(0.0, 2 * LEVEL, light.shape)
+    frame = LinearFrame((light * mask[..., None]).astype(np.float32))
+    assert len(find_materials([frame], [mask], RESPONSE)) == 3
+
+
+def test_materials_that_are_fitted_again_stay_in_their_order() -> None:
+    frame, _, mask = painted(sectors())
+    known = PAINTS[::-1] * np.exp([0.02, -0.01, 0.01])
+    again = find_materials([frame], [mask], RESPONSE, known=known)
+    values = np.array([each.reflectance.values for each in again])
+    assert np.abs(np.log(values / PAINTS[::-1])).max() < 0.02
+
+
 def test_paints_that_differ_by_six_per_cent_are_two_where_lengths_are_exact() -> None:
     paints = np.array([*PAINTS[:2], PAINTS[0] * np.exp([0.06, -0.03, 0.03])])
     normals, mask = dome()
@@ -330,6 +354,20 @@ def test_what_a_frame_told_of_noise_and_blur_is_kept_but_not_for_a_subject_of_an
     frame = LinearFrame(larger)
     assert np.array_equal(labeller.labels(frame, around), alone.labels(frame, around))
     assert labeller.seams == alone.seams != told
+
+
+def test_materials_that_were_fitted_again_take_over_labels_and_what_a_frame_told() -> None:
+    first, _, mask = painted(sectors(), noise=3 * LEVEL)
+    later, _, _ = painted(rotated(sectors(), 40.0), seed=3)
+    labeller = MaterialLabeller(RESPONSE, PAINTS)
+    labels = labeller.labels(first, mask)
+    labeller.keep()
+    again = labeller.of_fitted(PAINTS * np.exp([0.01, -0.01, 0.0]))
+    assert again.seams == labeller.seams
+    assert np.array_equal(again.labels(first, mask), labels)
+    again.forget()
+    assert np.mean(again.labels(later, mask)[mask] == rotated(sectors(), 40.0)[mask]) > 0.97
+    assert again.seams == labeller.seams
 
 
 def test_a_frame_in_which_the_picture_jumped_is_decided_as_if_it_were_alone() -> None:

@@ -135,7 +135,7 @@ def test_levelling_by_strength_leaves_a_missing_light_missing(rng) -> None:
     assert np.allclose(contributions(leveller.part_by_strength(frame, part)), by_strength[part], atol=1e-6)
     for level in (leveller.frame, leveller.frame_by_strength):
         of_part = level(frame, part).rgb
-        assert np.array_equal(of_part[part], level(frame).rgb[part])
+        np.testing.assert_allclose(of_part[part], level(frame).rgb[part], atol=1e-6)
         assert np.count_nonzero(of_part) == of_part[part].size
     central = np.linalg.norm(response.lights, axis=1)
     expected = shares * central / np.linalg.norm(lights, axis=-1)

@@ -12,6 +12,8 @@ from tests.pipeline.test_reconstruct import digest
 from vntoolkit.errors import BadInput
 from vntoolkit.evaluation.angular_error import angles_between_deg
 from vntoolkit.geometry.camera import Camera
+from vntoolkit.io.footage.captures import Capture
+from vntoolkit.io.footage.decoding import EncodedFrame
 from vntoolkit.io.footage.images import write_png
 from vntoolkit.io.maps_and_meshes.label_images import read_materials, write_mask
 from vntoolkit.io.maps_and_meshes.maps import read_normal_map
@@ -111,6 +113,24 @@ def test_paints_under_near_lamps_are_fitted_again(tmp_path: Path, monkeypatch: p
         off.append(np.abs(np.log(values[:, None] / PAINTS)).max(axis=2).min(axis=1).max())
         monkeypatch.setattr("vntoolkit.pipeline.reconstruct.refitted_materials", once)
     assert off[0] < 0.5 * off[1]
+
+
+@pytest.mark.parametrize(("frames", "expected"), [(1, [0]), (2, [0, 1]), (4, [0, 1, 2]), (18, [0, 8, 16])])
+def test_frames_far_apart_are_looked_at_and_decoded_once(
+    striped: ReconstructionJob, monkeypatch: pytest.MonkeyPatch, frames: int, expected: list[int]
+) -> None:
+    capture = striped.open_capture()
+    decoded, read = [], type(capture).encoded
+
+    def encoded(self: Capture, number: int) -> EncodedFrame:
+        decoded.append(number)
+        return read(self, number)
+
+    monkeypatch.setattr(Capture, "encoded", encoded)
+    first_frames = measured_materials.FirstFrames(capture, striped.open_mattes(capture), range(frames))
+    for _ in range(2):
+        assert [each.name[-6:-4] for each in first_frames.seen(striped)] == [f"{n:02d}" for n in expected]
+    assert decoded == expected
 
 
 def test_a_run_goes_on_with_the_materials_that_it_found(striped: ReconstructionJob) -> None:

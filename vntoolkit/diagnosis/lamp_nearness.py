@@ -7,7 +7,7 @@ Lamps of a rig stand about equally far: what the three tell is averaged.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -50,7 +50,9 @@ def fit_nearness(evidence: Evidence) -> Nearness | None:
     response = evidence.rig.response
     if response.variation is not None:
         return None
-    pixels = surface_pixels(evidence, lambda k, _: evidence.surface[k] & evidence.lit[k])
+    # what a lamp does not reach is shorter, whatever the lamps' distance, and blurred into what is beside it
+    seen = replace(evidence, clipped=evidence.clipped | ~evidence.lit)
+    pixels = surface_pixels(seen, lambda k, _: seen.surface[k])
     if len(pixels) < _FEWEST_PIXELS:
         return None
     scaled = pixels.scaled_normals(pixels.rgb)

@@ -225,7 +225,7 @@ def _proposals(own: Points, regions: Regions, count: int | None) -> Points:
 class _Found:
     """Materials so far. logs: (m, 3). labels: (n,). costs: (n, m). length: nats. normal_matrix: of logs.
 
-    change: (n, 3), of log light.
+    change: (n, 3), of log light, by the numbers `uneven`.
     """
 
     logs: Points
@@ -235,6 +235,7 @@ class _Found:
     normal_matrix: FloatArray
     spread: Spread
     change: FloatArray
+    uneven: FloatArray
 
 
 def _fewest(logs: Points, regions: Regions, lamps: Lamps, tolerance: float, count: int | None) -> _Found:
@@ -276,7 +277,7 @@ def _in_uneven_light(
     """
     fixed = regions, lamps, tolerance, 2, found.spread
     again = _settled(found.logs, found.labels, *fixed, changes=changes)
-    again = _thinned(again, regions, lamps, tolerance, count, found.length, changes)
+    again = _thinned(again, regions, lamps, tolerance, count, changes=changes)
     return min(found, again, key=lambda each: each.length)
 
 
@@ -302,7 +303,7 @@ def _thinned(
         if count is None and unexplained >= min(least, np.inf if best is None else best.length):
             break
         fewer = [
-            _settled(logs, labels, regions, lamps, tolerance, 1, found.spread, changes=changes)
+            _settled(logs, labels, regions, lamps, tolerance, 1, found.spread, None, changes, found.uneven)
             for logs, labels in (_without_one(found, regions), _merged(found))
         ]
         found = min(fewer, key=lambda each: each.length)
@@ -473,11 +474,13 @@ def _settled(
     spread: Spread | None,
     of_rig: Mask | None = None,
     changes: FloatArray | None = None,
+    uneven: FloatArray | None = None,
 ) -> _Found:
     """Alternate between labels and reflectances, all of which are fitted together.
 
     of_rig: (m,), materials of the hue of the rig's, which are only brighter or darker; None for none.
-    changes: (n, CHANGES, 3), of light, which are fitted as well; None for even light.
+    changes: (n, CHANGES, 3), of light, which are fitted as well; None for even light. uneven: their numbers
+    to begin with.
     """
     of_rig = np.zeros(len(logs), np.bool_) if of_rig is None else of_rig
     free = _free_numbers(of_rig)
@@ -489,7 +492,9 @@ def _settled(
     else:
         free = block_diag(free, np.eye(CHANGES))
         numbers += CHANGES / 3.0 * (_numbers(regions) - _FEW)
-    uneven, change = np.zeros(changes.shape[1]), np.zeros((regions.count, 3))
+    if uneven is None:
+        uneven = np.zeros(changes.shape[1])
+    change = np.einsum("npk,p->nk", changes, uneven)
     damping = np.diag(np.repeat([WEAK_PRIOR, UNEVEN**-2], [size, len(uneven)]))
     matrix = np.zeros_like(damping)
     is_given = spread is not None
@@ -523,6 +528,7 @@ def _settled(
     return _Found(
         logs=logs, labels=labels, costs=costs, length=length + 0.5 * float(uneven @ uneven) / UNEVEN**2,
         normal_matrix=matrix[:size, :size], spread=spread, change=change,
+        uneven=uneven,
     )  # fmt: skip
 
 

@@ -29,7 +29,7 @@ from vntoolkit.pipeline.options import MaterialSearch
 
 logger = logging.getLogger(__name__)
 _LOOKED_AT = 3  # frames …
-_APART = 8  # … this far from each other: the subject has moved and shows other normals
+_APART = 8  # … this far from each other, where there are as many: the subject then shows other normals
 _SAME_DEG = 1.5  # mean turn of normals below which a material is the rig's own
 # Turn of normals, over the scatter of their lengths from region to region as an angle, that gloss may have
 # made: photographs of one material have 0.8 to 1.4, other colours on cloth 2 and more, on skin 6.
@@ -72,7 +72,8 @@ class FirstFrames:
     def __init__(self, capture: Capture, mattes: Mattes, numbers: range) -> None:
         self._capture, self._mattes = capture, mattes
         there = [n for n in capture.present if n in numbers and not mattes.missing([n])]
-        self._numbers = there[: _APART * _LOOKED_AT : _APART]
+        step = max(1, min(_APART, (len(there) - 1) // (_LOOKED_AT - 1)))
+        self._numbers = there[::step][:_LOOKED_AT]
         self._encoded: dict[int, EncodedFrame] = {}
 
     def seen(self, job: ReconstructionJob) -> Iterator["_FirstFrame"]:
