@@ -97,8 +97,8 @@ def find_materials(
     """Find the materials of a few frames, that of most pixels first; `count` or as many as there are.
 
     frames, masks: of one size (h, w), every lamp as strong as at the centre. known: (m, 3), reflectances that
-    were found before: they are fitted again, and stay in their order. Raises `BadInput` where the lamps'
-    colours are not known, or no pixel is reached by all three lamps.
+    were found before: they are fitted again, in even light, and stay in their order. Raises `BadInput` where
+    the lamps' colours are not known, or no pixel is reached by all three lamps.
     """
     split, regions = _seen(frames, masks, response)
     if split.lit.sum() < _FEWEST_PIXELS or regions.count < _FEWEST_REGIONS:
@@ -107,14 +107,13 @@ def find_materials(
             "mask and rig"
         )
     own, tolerance = _reflectances_of_regions(regions, split.lamps)
-    changes = changes_of_light(regions, split, len(split.lit) // -(-len(masks[0]) // split.factor))
     if known is None:
-        first = _proposals(own, regions, count)
-        found = _fewest(first, regions, split.lamps, tolerance, count)
+        changes = changes_of_light(regions, split, len(split.lit) // -(-len(masks[0]) // split.factor))
+        found = _fewest(_proposals(own, regions, count), regions, split.lamps, tolerance, count)
+        found = _in_uneven_light(found, regions, changes, split.lamps, tolerance, count)
     else:
         count = len(known)
         found = _settled(np.log(known), None, regions, split.lamps, tolerance, _FIRST_ROUNDS, None)
-    found = _in_uneven_light(found, regions, changes, split.lamps, tolerance, count)
     change, even = found.change, levelled(regions, found.change)
     fixed = even, split.lamps, tolerance, 1, found.spread
     found, of_rig = _settled(found.logs, found.labels, *fixed), np.ones(1, np.bool_)
