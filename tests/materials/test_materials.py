@@ -362,7 +362,7 @@ def test_materials_that_were_fitted_again_take_over_labels_and_what_a_frame_told
     labeller = MaterialLabeller(RESPONSE, PAINTS)
     labels = labeller.labels(first, mask)
     labeller.keep()
-    again = labeller.of_fitted(PAINTS * np.exp([0.01, -0.01, 0.0]))
+    again = labeller.with_reflectances(PAINTS * np.exp([0.01, -0.01, 0.0]))
     assert again.seams == labeller.seams
     assert np.array_equal(again.labels(first, mask), labels)
     again.forget()

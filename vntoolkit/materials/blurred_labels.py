@@ -65,8 +65,8 @@ class BlurredLabels:
         self._precision = 1.0
         self._room: Single | None = None
 
-    def of_fitted(self, logs: Points) -> BlurredLabels:
-        """Return the same for materials that were fitted again."""
+    def with_logs(self, logs: Points) -> BlurredLabels:
+        """Return the same for materials that were fitted again. logs: (m, 3), log ρ."""
         other = BlurredLabels(self._lamps, logs, self._spread)
         other._seams, other._precision = self._seams, self._precision
         return other

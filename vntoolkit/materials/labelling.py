@@ -135,7 +135,7 @@ class MaterialLabeller:
                 self._split, self._before.copy(), self._found.copy(), self._doubtful, self._mean_price
             )
 
-    def of_fitted(self, reflectances: Points) -> MaterialLabeller:
+    def with_reflectances(self, reflectances: Points) -> MaterialLabeller:
         """Return a labeller of the same materials, whose reflectances (m, 3) were fitted again.
 
         What the first frame told this one of noise, blur and lengths holds for it, too, as do its labels.
@@ -144,7 +144,7 @@ class MaterialLabeller:
         other._like, other._red, other._reference = self._like, self._red, self._reference
         for name in ("_coarse", "_beside_seams", "_fine"):
             part: PixelLabeller | BlurredLabels | None = getattr(self, name)
-            setattr(other, name, None if part is None else part.of_fitted(other._logs))
+            setattr(other, name, None if part is None else part.with_logs(other._logs))
         other.keep()
         return other
 

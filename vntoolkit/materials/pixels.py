@@ -94,8 +94,8 @@ class PixelLabeller:
         self._lit: Mask = np.empty((0, 0), np.bool_)
         self._of_lengths: tuple[Single, MaterialLabels]
 
-    def of_fitted(self, logs: Points) -> PixelLabeller:
-        """Return the same for materials that were fitted again."""
+    def with_logs(self, logs: Points) -> PixelLabeller:
+        """Return the same for materials that were fitted again. logs: (m, 3), log ρ."""
         other = PixelLabeller(self._lamps, logs, self.spread)
         other._reach, other._variance, other.blur_px = self._reach, self._variance, self.blur_px
         return other

@@ -154,7 +154,7 @@ def refitted_materials(
     labeller: of the materials as they were measured.
     """
     response, known = job.rig.response, np.array(job.reflectances)
-    labeller, far, subjects, labels = labeller.of_fitted(known), [], [], []
+    labeller, far, subjects, labels = labeller.with_reflectances(known), [], [], []
     for each in first_frames.seen(job):
         labeller.forget()
         labels.append(labeller.labels(each.by_strength, each.subject))
@@ -166,7 +166,7 @@ def refitted_materials(
         far.append(relit(plain, response.central, labels[-1], 1.0 / known))
         subjects.append(each.subject)
     found = find_materials(far, subjects, response.central, known=known)
-    labeller = labeller.of_fitted(np.array([each.reflectance.values for each in found]))
+    labeller = labeller.with_reflectances(np.array([each.reflectance.values for each in found]))
     seen = _Labelled(
         frame=far[0], mask=subjects[0], response=response.central, labeller=labeller, labels=labels[0]
     )

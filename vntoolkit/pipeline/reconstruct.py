@@ -318,7 +318,9 @@ def _in_one_material(
     if not job.reflectances:
         return None
     central, known = job.rig.response.central, (np.array(job.reflectances), np.array(job.pigments))
-    labeller = MaterialLabeller(central, known[0]) if labeller is None else labeller.of_fitted(known[0])
+    labeller = (
+        MaterialLabeller(central, known[0]) if labeller is None else labeller.with_reflectances(known[0])
+    )
     processor = FrameProcessor(job.rig, job.options, mask)
 
     def judged(frame: LinearFrame) -> LinearFrame:
