@@ -356,6 +356,21 @@ def test_what_a_frame_told_of_noise_and_blur_is_kept_but_not_for_a_subject_of_an
     assert labeller.seams == alone.seams != told
 
 
+def test_a_sequence_that_starts_anew_owes_nothing_to_the_frames_before() -> None:
+    """Else workers that had other frames before would write other bytes."""
+    first, _, mask = painted(sectors(), noise=6 * LEVEL)
+    long, short = MaterialLabeller(RESPONSE, PAINTS), MaterialLabeller(RESPONSE, PAINTS)
+    for labeller in (long, short):
+        labeller.labels(first, mask)
+        labeller.keep()
+    for number in range(1, 9):
+        later, _, _ = painted(rotated(sectors(), 3.0 * number), noise=8 * LEVEL, seed=1000 + number)
+        long.labels(later, mask)
+    for labeller in (long, short):
+        labeller.forget()
+    assert np.array_equal(long.labels(later, mask), short.labels(later, mask))
+
+
 def test_materials_that_were_fitted_again_take_over_labels_and_what_a_frame_told() -> None:
     first, _, mask = painted(sectors(), noise=3 * LEVEL)
     later, _, _ = painted(rotated(sectors(), 40.0), seed=3)

@@ -49,6 +49,7 @@ _STRIP = 8  # rows, of pixels or of blocks: strips with one between them do not 
 LANES = 8  # rows of windows take a multiple of it, and are done so many pixels at a time
 MARGIN_PX = _REACH_PX + 3  # around a pixel that may change, where its change is felt
 # Of the kernels, which count in single precision.
+_ANY_MIXTURE = np.float32(100.0)  # that no change of a label makes 0
 _NONE, _HALF, _ONE, _MOST = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(CAP * CAP)
 
 
@@ -348,6 +349,10 @@ def _move_row(
             for a in range(size):
                 for b in range(0, lanes, LANES):
                     _copy(state[k, v - margin + a], u - margin + b, window, k * n + a * lanes + b)
+        for k in range(_MIXED, _MIXED + 3):  # what is not there counts nothing, and must stay finite
+            for i in range(n):
+                there = window[_THERE * n + i]
+                window[k * n + i] = there * window[k * n + i] + (_ONE - there) * _ANY_MIXTURE
         for k in range(_NEW_SHADE, _NEW_SHADE + 3):  # first and last row, which no change reaches
             for i in range(lanes):
                 window[k * n + i] = window[(k - _NEW_SHADE + _SHADE) * n + i]
@@ -378,7 +383,8 @@ def _move_row(
         for k in range(6):
             for a in range(1, size - 1):
                 for b in range(1, size - 1):
-                    state[3 + k, v - margin + a, u - margin + b] = window[(_NEW + k) * n + a * lanes + b]
+                    if window[_THERE * n + a * lanes + b] > _NONE:
+                        state[3 + k, v - margin + a, u - margin + b] = window[(_NEW + k) * n + a * lanes + b]
         for a in range(side):
             for b in range(side):
                 labels[v + a, u + b] = best

@@ -481,10 +481,12 @@ def _entry_of_surface(known: TrackedReflectance | None) -> manifests.SurfaceEntr
 def _options_that_shape(job: ReconstructionJob) -> dict[str, Any]:
     """Return what results depend on; sensor and mattes only where they are not left at their defaults."""
     values = option_values(job.options, without=("to", "on_error"))
-    if job.sensor != SensorOptions():
-        values.update(option_values(job.sensor, SENSOR_PREFIX))
-    if job.matting != MatteOptions():
-        values.update(option_values(job.matting, "matte."))
+    # by value: options from the command line are of classes of their own
+    for given, default, prefix in (
+        (job.sensor, SensorOptions(), SENSOR_PREFIX), (job.matting, MatteOptions(), "matte.")
+    ):  # fmt: skip
+        own = option_values(given, prefix)
+        values.update(own if own != option_values(default, prefix) else {})
     if job.nearness:
         values["lamps.nearness"] = job.nearness
     if job.blur_px:
