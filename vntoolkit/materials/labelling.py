@@ -142,9 +142,9 @@ class MaterialLabeller:
         """
         other = MaterialLabeller(self._response, reflectances)
         other._like, other._red, other._reference = self._like, self._red, self._reference
-        for name in ("_coarse", "_beside_seams", "_fine"):
-            part: PixelLabeller | BlurredLabels | None = getattr(self, name)
-            setattr(other, name, None if part is None else part.with_logs(other._logs))
+        other._coarse = self._coarse and self._coarse.with_logs(other._logs)
+        other._beside_seams = self._beside_seams and self._beside_seams.with_logs(other._logs)
+        other._fine = self._fine and self._fine.with_logs(other._logs)
         other.keep()
         return other
 

@@ -117,10 +117,9 @@ def find_materials(
     change, even = found.change, levelled(regions, found.change)
     fixed = even, split.lamps, tolerance, 1, found.spread
     found, of_rig = _settled(found.logs, found.labels, *fixed), np.ones(1, np.bool_)
+    plain: _Found | None = None
     if count is None:
         found = _woven(found, even, split.lamps)
-    plain = None
-    if count is None:
         plain = _settled(np.zeros((1, 3)), np.zeros(regions.count, np.int64), *fixed, of_rig)
     if plain is not None and plain.length <= found.length:
         found = plain
