@@ -117,23 +117,23 @@ def find_materials(
     change, even = found.change, levelled(regions, found.change)
     fixed = even, split.lamps, tolerance, 1, found.spread
     found, of_rig = _settled(found.logs, found.labels, *fixed), np.ones(1, np.bool_)
-    plain: _Found | None = None
+    all_of_rig: _Found | None = None
     if count is None:
         found = _woven(found, even, split.lamps)
-        plain = _settled(np.zeros((1, 3)), np.zeros(regions.count, np.int64), *fixed, of_rig)
-    if plain is not None and plain.length <= found.length:
-        found = plain
+        all_of_rig = _settled(np.zeros((1, 3)), np.zeros(regions.count, np.int64), *fixed, of_rig)
+    if all_of_rig is not None and all_of_rig.length <= found.length:
+        found = all_of_rig
     else:
         found, of_rig = _in_rigs_hue(found, even, split.lamps, tolerance)
-    labels = found.labels[regions.labels[split.lit]]
-    s = split.contributions[split.lit] * np.exp(-change)[regions.labels[split.lit]]
+    shares = np.bincount(found.labels[regions.labels[split.lit]], minlength=len(found.logs)) / split.lit.sum()
+    of_region = regions.labels[regions.plain]  # on edges of paint are mixtures
+    labels, s = found.labels[of_region], split.contributions[regions.plain] * np.exp(-change)[of_region]
     materials = []
     # of a material of the rig's hue, too, the error is what the footage leaves open: its hue is the likeliest
     covariance = np.linalg.inv(found.normal_matrix + 1e-9 * np.eye(3 * len(found.logs)))
     for m, log in enumerate(found.logs):
         pixels = s[labels == m]
-        share = len(pixels) / len(s)
-        pixels = pixels if share else s  # a number was asked for that nothing supports
+        pixels = pixels if len(pixels) else s  # a number was asked for that nothing supports
         pixels = np.ascontiguousarray(pixels[:: max(1, len(pixels) // _FIT_PIXELS)])
         block, own_log = covariance[3 * m : 3 * m + 3, 3 * m : 3 * m + 3], log
         if not of_rig[m]:
@@ -141,7 +141,7 @@ def find_materials(
                 pixels, split.lamps, tolerance, log[None], _OF_SEAMS, 1.0 / INDEPENDENT_PX
             )
         fitted = reflectance_from_fit(own_log, block, pixels, split.lamps)
-        materials.append(Material(reflectance=fitted, share=share))
+        materials.append(Material(reflectance=fitted, share=float(shares[m])))
     return materials if known is not None else sorted(materials, key=lambda material: -material.share)
 
 
