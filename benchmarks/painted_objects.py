@@ -19,7 +19,7 @@ import numpy as np
 
 from vntoolkit.arrays import FloatArray
 from vntoolkit.materials.labelling import MaterialLabeller
-from vntoolkit.materials.search import find_materials
+from vntoolkit.materials.search import find_materials, searched_frames
 from vntoolkit.normals.inversion import normals_from_frame
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
@@ -47,7 +47,7 @@ def painted_error(folder: Path, count: int, bits: int, seed: int) -> tuple[float
     stored = (light + rng.normal(0.0, level, light.shape)).clip(0.0, 1.0) / level
     frame = LinearFrame(((stored.round() * level) * mask[..., None]).astype(np.float32))
     lit = mask & (shares > 0.0).all(axis=-1)
-    found = find_materials([frame], [mask], RESPONSE)
+    found = find_materials(searched_frames([frame], [mask], RESPONSE))
     labeller = MaterialLabeller(RESPONSE, np.array([each.reflectance.values for each in found]))
     split = RESPONSE.contributions_from_rgb
     known = (frame.rgb @ split.T / rho) @ np.linalg.inv(split).T

@@ -21,7 +21,7 @@ from vntoolkit.materials.reflectance import (
     reflectance_from_fit,
 )
 from vntoolkit.materials.relighting import colours_of, relit
-from vntoolkit.materials.search import WORST_ERROR_DEG, find_materials
+from vntoolkit.materials.search import WORST_ERROR_DEG, find_materials, fitted_again, searched_frames
 from vntoolkit.materials.split_frame import block_size, blocks_moved, cells_of, split_frame
 from vntoolkit.normals.inversion import normals_from_frame
 from vntoolkit.photometry.frame import LinearFrame
@@ -94,7 +94,7 @@ def test_the_error_of_a_reflectance_is_that_of_its_normal_equations() -> None:
 def test_three_paints_are_found_and_leave_no_seam_in_the_normals() -> None:
     labels = sectors()
     frame, normals, mask = painted(labels)
-    found = find_materials([frame], [mask], RESPONSE)
+    found = find_materials(searched_frames([frame], [mask], RESPONSE))
     assert len(found) == 3
     values = np.array([material.reflectance.values for material in found])
     nearest = np.abs(np.log(values[:, None] / PAINTS)).max(axis=2)
@@ -142,7 +142,7 @@ def test_a_logo_on_knitted_cloth_is_found_though_its_quarters_are_nearly_flat() 
         light = np.maximum(normals @ DIRECTIONS.T, 0.0) * yarns[labels] @ COLOURS
         light += np.random.default_rng(5).normal(0.0, LEVEL, light.shape)
         frame = LinearFrame((light * mask[..., None]).astype(np.float32))
-        found = find_materials([frame], [mask], RESPONSE)
+        found = find_materials(searched_frames([frame], [mask], RESPONSE))
         assert len(found) == labels.max() + 1
         labeller = MaterialLabeller(RESPONSE, np.array([each.reflectance.values for each in found]))
         seen = labeller.relit(frame, labeller.labels(frame, mask))
@@ -172,8 +172,8 @@ def test_blurred_stripes_of_six_pixels_on_knitted_cloth_turn_normals_by_less_tha
 
 def test_one_paint_is_one_material_and_a_number_is_kept() -> None:
     frame, _, mask = painted(np.full((120, 120), 2))
-    assert len(find_materials([frame], [mask], RESPONSE)) == 1
-    assert len(find_materials([frame], [mask], RESPONSE, count=2)) == 2
+    assert len(find_materials(searched_frames([frame], [mask], RESPONSE))) == 1
+    assert len(find_materials(searched_frames([frame], [mask], RESPONSE), 2)) == 2
 
 
 def test_light_that_changes_slowly_over_a_subject_is_no_further_material() -> None:
@@ -188,7 +188,7 @@ def test_light_that_changes_slowly_over_a_subject_is_no_further_material() -> No
     light = 0.8 * (np.stack(shares, axis=-1) * PAINTS[0]) @ COLOURS
     light += np.random.default_rng(0).normal(0.0, LEVEL, light.shape)
     frame = LinearFrame((light * mask[..., None]).astype(np.float32))
-    assert len(find_materials([frame], [mask], RESPONSE)) == 1
+    assert len(find_materials(searched_frames([frame], [mask], RESPONSE))) == 1
 
 
 @pytest.mark.parametrize("seed", [1, 4, 6])
@@ -204,13 +204,13 @@ def test_paints_in_light_that_changes_from_side_to_side_are_not_split(seed: int)
     light = np.maximum(normals @ DIRECTIONS.T, 0.0) * gains * PAINTS[squares] @ COLOURS
     light += rng.normal(0.0, 2 * LEVEL, light.shape)
     frame = LinearFrame((light * mask[..., None]).astype(np.float32))
-    assert len(find_materials([frame], [mask], RESPONSE)) == 3
+    assert len(find_materials(searched_frames([frame], [mask], RESPONSE))) == 3
 
 
 def test_materials_that_are_fitted_again_stay_in_their_order() -> None:
     frame, _, mask = painted(sectors())
     known = PAINTS[::-1] * np.exp([0.02, -0.01, 0.01])
-    again = find_materials([frame], [mask], RESPONSE, known=known)
+    again = fitted_again(searched_frames([frame], [mask], RESPONSE), known)
     values = np.array([each.reflectance.values for each in again])
     assert np.abs(np.log(values / PAINTS[::-1])).max() < 0.02
 
@@ -221,7 +221,7 @@ def test_paints_that_differ_by_six_per_cent_are_two_where_lengths_are_exact() ->
     light = np.maximum(normals @ DIRECTIONS.T, 0.0) * paints[sectors()] @ COLOURS
     light += np.random.default_rng(0).normal(0.0, LEVEL, light.shape)
     frame = LinearFrame((light * mask[..., None]).astype(np.float32))
-    found = find_materials([frame], [mask], RESPONSE)
+    found = find_materials(searched_frames([frame], [mask], RESPONSE))
     values = np.array([each.reflectance.values for each in found])
     assert len(values) == 3
     assert np.abs(np.log(values[:, None] / paints)).max(axis=2).min(axis=0).max() < 0.02
@@ -240,7 +240,8 @@ def test_print_of_the_rigs_hue_has_the_normals_of_the_rigs_material() -> None:
         light += rng.normal(0.0, LEVEL, light.shape)
         frame = LinearFrame((light * mask[..., None]).astype(np.float32))
         found = sorted(
-            find_materials([frame], [mask], RESPONSE), key=lambda each: -each.reflectance.values[1]
+            find_materials(searched_frames([frame], [mask], RESPONSE)),
+            key=lambda each: -each.reflectance.values[1],
         )
         values = np.array([each.reflectance.values for each in found])
         assert len(found) == 2 + colour_too
@@ -251,7 +252,7 @@ def test_print_of_the_rigs_hue_has_the_normals_of_the_rigs_material() -> None:
 def test_frames_are_searched_together_and_again_with_the_same_result() -> None:
     frame, _, mask = painted(sectors(), seed=1)
     other, _, _ = painted(sectors()[::-1], seed=2)
-    found = [find_materials([frame, other], [mask, mask], RESPONSE) for _ in range(2)]
+    found = [find_materials(searched_frames([frame, other], [mask, mask], RESPONSE)) for _ in range(2)]
     assert len(found[0]) == 3
     assert np.array_equal(found[0][0].reflectance.values, found[1][0].reflectance.values)
 
@@ -262,7 +263,7 @@ def test_a_shadow_is_no_material() -> None:
     shares[40:60, 30:70, 1] = 0.0  # something keeps lamp 1 away
     noise = np.random.default_rng(0).normal(0.0, LEVEL, shares.shape)
     frame = LinearFrame(((shares @ COLOURS + noise) * mask[..., None]).astype(np.float32))
-    assert len(find_materials([frame], [mask], RESPONSE)) == 1
+    assert len(find_materials(searched_frames([frame], [mask], RESPONSE))) == 1
 
 
 def test_a_flat_patch_tells_that_it_tells_nothing() -> None:
@@ -270,7 +271,7 @@ def test_a_flat_patch_tells_that_it_tells_nothing() -> None:
     flat = rgb_from_normals(np.broadcast_to(normal, (60, 60, 3)), RESPONSE) * 0.5
     noisy = flat + np.random.default_rng(0).normal(0.0, LEVEL, flat.shape)
     mask = np.ones((60, 60), np.bool_)
-    found = find_materials([LinearFrame(noisy.astype(np.float32))], [mask], RESPONSE)
+    found = find_materials(searched_frames([LinearFrame(noisy.astype(np.float32))], [mask], RESPONSE))
     assert found[0].reflectance.error_deg > WORST_ERROR_DEG
 
 
@@ -518,7 +519,7 @@ def test_carried_labels_away_from_changes_are_as_deciding_them_again_leaves_them
 
 def test_a_yarn_of_a_tartan_that_is_seen_in_small_squares_only_is_found_by_its_mixtures() -> None:
     frame, mask = tartan(180, seed=3)
-    found = find_materials([frame], [mask], RESPONSE)
+    found = find_materials(searched_frames([frame], [mask], RESPONSE))
     values = np.array([each.reflectance.values for each in found])
     assert len(found) == 6
     assert np.abs(np.log(values[:, None] / YARNS)).max(axis=2).min(axis=0).max() < 0.1
@@ -526,7 +527,7 @@ def test_a_yarn_of_a_tartan_that_is_seen_in_small_squares_only_is_found_by_its_m
 
 def test_a_tartan_too_fine_for_the_blocks_of_three_frames_is_looked_at_in_one() -> None:
     frames, masks = zip(*(tartan(240, seed) for seed in (3, 4, 5)), strict=True)
-    found = find_materials(frames, masks, RESPONSE)
+    found = find_materials(searched_frames(frames, masks, RESPONSE))
     values = np.array([each.reflectance.values for each in found])
     assert np.abs(np.log(values[:, None] / YARNS)).max(axis=2).min(axis=0).max() < 0.1
 
@@ -560,7 +561,7 @@ def freckled(seed: int = 0, noise: float = LEVEL) -> tuple[LinearFrame, np.ndarr
 @pytest.mark.slow
 def test_freckles_are_found_as_a_pigment_and_hardly_turn_normals() -> None:
     frame, normals, mask = freckled()
-    values = find_materials([frame], [mask], RESPONSE, count=1)[0].reflectance.values[None]
+    values = find_materials(searched_frames([frame], [mask], RESPONSE), 1)[0].reflectance.values[None]
     labels = np.zeros(mask.shape, np.uint8)
     plain = MaterialLabeller(RESPONSE, values)
     found = plain.pigments(frame, mask, labels)[0]
@@ -696,7 +697,7 @@ def test_a_surface_without_paint_stays_as_it_is_through_a_wide_lens_too() -> Non
 
 def test_noise_does_not_bend_the_line_of_a_pigment() -> None:
     frame, _, mask = freckled(noise=3.0 * LEVEL)
-    values = find_materials([frame], [mask], RESPONSE, count=1)[0].reflectance.values[None]
+    values = find_materials(searched_frames([frame], [mask], RESPONSE), 1)[0].reflectance.values[None]
     found = MaterialLabeller(RESPONSE, values).pigments(frame, mask, np.zeros(mask.shape, np.uint8))[0]
     assert found is not None
     assert angles_deg(found[0], MELANIN / np.linalg.norm(MELANIN)) < 10.0  # single pixels tell none
@@ -710,7 +711,7 @@ def test_one_colour_has_no_pigment() -> None:
 
 def test_a_material_too_small_to_tell_shares_the_pigment_of_the_largest() -> None:
     frame, _, mask = freckled()
-    values = find_materials([frame], [mask], RESPONSE, count=1)[0].reflectance.values[None]
+    values = find_materials(searched_frames([frame], [mask], RESPONSE), 1)[0].reflectance.values[None]
     labels = (np.indices(mask.shape)[0] < 32).astype(np.uint8)
     large, small = MaterialLabeller(RESPONSE, values.repeat(2, 0)).pigments(frame, mask, labels)
     assert large is not None

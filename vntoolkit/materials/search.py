@@ -87,44 +87,81 @@ class Material:
     share: float
 
 
-def find_materials(
-    frames: Sequence[LinearFrame],
-    masks: Sequence[Mask],
-    response: LightResponse,
-    count: int | None = None,
-    known: Points | None = None,
-) -> list[Material]:
-    """Find the materials of a few frames, that of most pixels first; `count` or as many as there are.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SearchedFrames:
+    """Frames in blocks, below each other, and their regions. count: how many frames."""
 
-    frames, masks: of one size (h, w), every lamp as strong as at the centre. known: (m, 3), reflectances that
-    were found before: they are fitted again, in even light, and stay in their order. Raises `BadInput` where
-    the lamps' colours are not known, or no pixel is reached by all three lamps.
+    split: SplitFrame
+    regions: Regions
+    count: int
+
+
+def searched_frames(
+    frames: Sequence[LinearFrame], masks: Sequence[Mask], response: LightResponse
+) -> SearchedFrames:
+    """Return frames in blocks, as small as the number of searched pixels allows, and their regions.
+
+    frames, masks: of one size (h, w), every lamp as strong as at the centre. More frames show other normals,
+    but in larger blocks. Where most blocks lie on edges, patches of one paint are hardly larger than blocks:
+    then the first frame alone is looked at, in smaller ones. Raises `BadInput` where the lamps' colours are
+    not known, or no pixel is reached by all three lamps.
     """
-    split, regions = _seen(frames, masks, response)
+    split = stacked(
+        [
+            split_frame(frame, response, mask, _SEARCHED_PIXELS // len(frames))
+            for frame, mask in zip(frames, masks, strict=True)
+        ]
+    )
+    regions = regions_of(split)
+    if len(frames) > 1 and regions.sizes.sum() < _LEAST_INSIDE * split.lit.sum():
+        return searched_frames(frames[:1], masks[:1], response)
     if split.lit.sum() < _FEWEST_PIXELS or regions.count < _FEWEST_REGIONS:
         raise BadInput(
             "materials: hardly any pixel is reached by all three lamps and not clipped; look at exposure, "
             "mask and rig"
         )
-    own, tolerance = _reflectances_of_regions(regions, split.lamps)
-    if known is None:
-        changes = changes_of_light(regions, split, len(split.lit) // -(-len(masks[0]) // split.factor))
-        found = _fewest(_proposals(own, regions, count), regions, split.lamps, tolerance, count)
-        found = _in_uneven_light(found, regions, changes, split.lamps, tolerance, count)
-    else:
-        count = len(known)
-        found = _settled(np.log(known), None, regions, split.lamps, tolerance, _FIRST_ROUNDS, None)
+    return SearchedFrames(split=split, regions=regions, count=len(frames))
+
+
+def find_materials(searched: SearchedFrames, count: int | None = None) -> list[Material]:
+    """Find the materials of a few frames, that of most pixels first; `count` or as many as there are."""
+    split, regions, lamps = searched.split, searched.regions, searched.split.lamps
+    own, tolerance = _reflectances_of_regions(regions, lamps)
+    changes = changes_of_light(regions, split, searched.count)
+    found = _fewest(_proposals(own, regions, count), regions, lamps, tolerance, count)
+    found = _in_uneven_light(found, regions, changes, lamps, tolerance, count)
     change, even = found.change, levelled(regions, found.change)
-    fixed = even, split.lamps, tolerance, 1, found.spread
-    found, of_rig = _settled(found.logs, found.labels, *fixed), np.ones(1, np.bool_)
-    all_of_rig: _Found | None = None
+    fixed = even, lamps, tolerance, 1, found.spread
+    found = _settled(found.logs, found.labels, *fixed)
     if count is None:
-        found = _woven(found, even, split.lamps)
-        all_of_rig = _settled(np.zeros((1, 3)), np.zeros(regions.count, np.int64), *fixed, of_rig)
-    if all_of_rig is not None and all_of_rig.length <= found.length:
-        found = all_of_rig
-    else:
-        found, of_rig = _in_rigs_hue(found, even, split.lamps, tolerance)
+        found = _woven(found, even, lamps)
+        one, of_rig = np.zeros(regions.count, np.int64), np.ones(1, np.bool_)
+        rigs_own = _settled(np.zeros((1, 3)), one, *fixed, of_rig)
+        if rigs_own.length <= found.length:
+            return _fitted_each(rigs_own, of_rig, searched, change, tolerance)
+    found, of_rig = _in_rigs_hue(found, even, lamps, tolerance)
+    materials = _fitted_each(found, of_rig, searched, change, tolerance)
+    return sorted(materials, key=lambda material: -material.share)
+
+
+def fitted_again(searched: SearchedFrames, known: Points) -> list[Material]:
+    """Fit materials of reflectances (m, 3) that were found before again, in even light, in their order."""
+    regions, lamps = searched.regions, searched.split.lamps
+    _, tolerance = _reflectances_of_regions(regions, lamps)
+    found = _settled(np.log(known), None, regions, lamps, tolerance, _FIRST_ROUNDS, None)
+    found = _settled(found.logs, found.labels, regions, lamps, tolerance, 1, found.spread)
+    found, of_rig = _in_rigs_hue(found, regions, lamps, tolerance)
+    return _fitted_each(found, of_rig, searched, found.change, tolerance)
+
+
+def _fitted_each(
+    found: _Found, of_rig: Mask, searched: SearchedFrames, change: FloatArray, tolerance: float
+) -> list[Material]:
+    """Return the materials of a description, each fitted once more to its own pixels.
+
+    of_rig: (m,), those of the hue of the rig's. change: (n, 3), of log light on the regions.
+    """
+    split, regions = searched.split, searched.regions
     shares = np.bincount(found.labels[regions.labels[split.lit]], minlength=len(found.logs)) / split.lit.sum()
     of_region = regions.labels[regions.plain]  # on edges of paint are mixtures
     labels, s = found.labels[of_region], split.contributions[regions.plain] * np.exp(-change)[of_region]
@@ -142,27 +179,7 @@ def find_materials(
             )
         fitted = reflectance_from_fit(own_log, block, pixels, split.lamps)
         materials.append(Material(reflectance=fitted, share=float(shares[m])))
-    return materials if known is not None else sorted(materials, key=lambda material: -material.share)
-
-
-def _seen(
-    frames: Sequence[LinearFrame], masks: Sequence[Mask], response: LightResponse
-) -> tuple[SplitFrame, Regions]:
-    """Return frames in blocks, as small as the number of searched pixels allows, and their regions.
-
-    More frames show other normals, but in larger blocks. Where most blocks lie on edges, patches of one paint
-    are hardly larger than blocks: then the first frame alone is looked at, in smaller ones.
-    """
-    split = stacked(
-        [
-            split_frame(frame, response, mask, _SEARCHED_PIXELS // len(frames))
-            for frame, mask in zip(frames, masks, strict=True)
-        ]
-    )
-    regions = regions_of(split)
-    if len(frames) > 1 and regions.sizes.sum() < _LEAST_INSIDE * split.lit.sum():
-        return _seen(frames[:1], masks[:1], response)
-    return split, regions
+    return materials
 
 
 # A reflectance for every region.

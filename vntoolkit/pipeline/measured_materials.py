@@ -17,7 +17,13 @@ from vntoolkit.materials.labelling import MaterialLabeller
 from vntoolkit.materials.pixels import MaterialLabels
 from vntoolkit.materials.regions import UNEVEN
 from vntoolkit.materials.relighting import relit
-from vntoolkit.materials.search import WORST_ERROR_DEG, Material, find_materials
+from vntoolkit.materials.search import (
+    WORST_ERROR_DEG,
+    Material,
+    find_materials,
+    fitted_again,
+    searched_frames,
+)
 from vntoolkit.normals.inversion import relative_albedo_from_frame
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.levelling import leveller_of
@@ -94,6 +100,10 @@ class FirstFrames:
                 subject=processor.lit_subject(frame),
             )
 
+    def leave_out_from(self, count: int) -> None:
+        """Leave all out but the first so many: the others tell nothing."""
+        self._numbers = self._numbers[:count]
+
     def _decoded(self, number: int) -> EncodedFrame:
         if number not in self._encoded:
             self._encoded[number] = self._capture.encoded(number)
@@ -125,10 +135,12 @@ def measured_materials(job: ReconstructionJob, first_frames: FirstFrames) -> Mea
         central = response.central
         first = levelled[0], subjects[0], central
         count = None if isinstance(choice, MaterialSearch) else choice
-        found = find_materials(levelled, subjects, central, count)
+        searched = searched_frames(levelled, subjects, central)
+        first_frames.leave_out_from(searched.count)
+        found = find_materials(searched, count)
         seen = _Labelled.by(found, *first)
         if count is None and seen.left_at_seams() > _MOST_LEFT:
-            one = find_materials(levelled, subjects, central, 1)
+            one = find_materials(searched, 1)
             if _is_of_rig(one[0], *first) or _are_alike(found, one[0], *first):
                 found, seen = one, _Labelled.by(one, *first)
         found = _told(found, choice)
@@ -165,7 +177,7 @@ def refitted_materials(
         plain = leveller_of(response, each.subject.shape).frame(light)
         far.append(relit(plain, response.central, labels[-1], 1.0 / known))
         subjects.append(each.subject)
-    found = find_materials(far, subjects, response.central, known=known)
+    found = fitted_again(searched_frames(far, subjects, response.central), known)
     labeller = labeller.with_reflectances(np.array([each.reflectance.values for each in found]))
     seen = _Labelled(
         frame=far[0], mask=subjects[0], response=response.central, labeller=labeller, labels=labels[0]
