@@ -64,12 +64,13 @@ class MeasuredMaterials:
 
     entries: empty where all is the rig's. relative_albedo: how bright the subject is then against the rig's
     material; None where there are others. labeller: of the materials, which knows what a frame told of noise
-    and blur; None where all is the rig's.
+    and blur, and labels: (h, w), of the first frame; None where all is the rig's.
     """
 
     entries: list[MaterialEntry]
     relative_albedo: float | None = None
     labeller: MaterialLabeller | None = None
+    labels: MaterialLabels | None = None
 
 
 class FirstFrames:
@@ -147,7 +148,9 @@ def measured_materials(job: ReconstructionJob, first_frames: FirstFrames) -> Mea
         found, pigments = _with_pigments(found, seen)
         found = _explaining(found, pigments, seen, choice)
         if found and not (choice is MaterialSearch.AUTO and len(found) == 1 and _is_of_rig(found[0], *first)):
-            return MeasuredMaterials(entries=_entries(found, pigments), labeller=seen.labeller)
+            return MeasuredMaterials(
+                entries=_entries(found, pigments), labeller=seen.labeller, labels=seen.labels
+            )
     try:
         albedo = relative_albedo_from_frame(firsts[0].frame, response, firsts[0].mask)
     except BadInput as error:
@@ -158,18 +161,18 @@ def measured_materials(job: ReconstructionJob, first_frames: FirstFrames) -> Mea
 
 
 def refitted_materials(
-    job: ReconstructionJob, first_frames: FirstFrames, labeller: MaterialLabeller
+    job: ReconstructionJob, first_frames: FirstFrames, labeller: MaterialLabeller, first_labels: MaterialLabels
 ) -> list[MaterialEntry]:
     """Return the job's materials, fitted again to what the first frames show under lamps that are near.
 
     The search takes the lamps' directions at the centre. With labels known, each pixel's own are taken.
-    labeller: of the materials as they were measured.
+    labeller: of the materials as they were measured. first_labels: (h, w), of the first frame.
     """
     response, known = job.rig.response, np.array(job.reflectances)
     labeller, far, subjects, labels = labeller.with_reflectances(known), [], [], []
     for each in first_frames.seen(job):
         labeller.forget()
-        labels.append(labeller.labels(each.by_strength, each.subject))
+        labels.append(labeller.labels(each.by_strength, each.subject) if labels else first_labels)
         seams = labeller.seams
         # Colours that a camera interpolated make normals longer, most in dark paint: as noise does.
         weighed = None if seams is None or seams.red is None else seams.of_any_length

@@ -181,8 +181,8 @@ def _prepared(
         examined = _require_plausible(job, capture, mattes, numbers, measured.labeller)
     job = _with_blur(_with_near_lamps(job, examined, earlier), examined, earlier)
     materials = measured.entries
-    if earlier is None and measured.labeller is not None and job.rig.response.variation is not None:
-        materials = refitted_materials(job, first_frames, measured.labeller)
+    if earlier is None and measured.labels is not None and job.rig.response.variation is not None:
+        materials = refitted_materials(job, first_frames, measured.labeller, measured.labels)
         job = _of_materials(job, materials)
     manifest = manifest_of_run(job, capture, mattes, frames, materials, examined.findings)
     if resumes:
