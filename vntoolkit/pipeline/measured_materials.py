@@ -161,7 +161,10 @@ def measured_materials(job: ReconstructionJob, first_frames: FirstFrames) -> Mea
 
 
 def refitted_materials(
-    job: ReconstructionJob, first_frames: FirstFrames, labeller: MaterialLabeller, first_labels: MaterialLabels
+    job: ReconstructionJob,
+    first_frames: FirstFrames,
+    labeller: MaterialLabeller,
+    first_labels: MaterialLabels,
 ) -> list[MaterialEntry]:
     """Return the job's materials, fitted again to what the first frames show under lamps that are near.
 
@@ -329,13 +332,21 @@ def _turn_deg(
     Gloss and ambient light bend lengths over whole regions alike, which no covariance shows: a fit to lengths
     that scatter by x may turn normals by about x radians.
     """
-    lit = mask & ~frame.clipped & (frame.rgb.max(axis=2) > 0.1 * np.percentile(frame.rgb[mask], 99))
-    inverse, shares = np.linalg.inv(response.lights), frame.rgb[lit] @ response.contributions_from_rgb.T
+    inside = mask & ~frame.clipped
+    step = _step_between_judged(inside)
+    rgb, inside = frame.rgb[::step, ::step], inside[::step, ::step]
+    lit = inside & (rgb.max(axis=2) > 0.1 * np.percentile(rgb[inside], 99))
+    inverse, shares = np.linalg.inv(response.lights), rgb[lit] @ response.contributions_from_rgb.T
     own, others = ((shares / each) @ inverse.T for each in (material.reflectance.values, values))
     lengths = np.linalg.norm(own, axis=1)
     cosines = (others * own).sum(axis=1) / np.linalg.norm(others, axis=1) / lengths
     turn_deg = float(np.degrees(np.median(np.arccos(np.clip(cosines, -1.0, 1.0)))))
     return turn_deg, _BENT * float(np.degrees(_scatter_of_regions(lengths, lit)))
+
+
+def _step_between_judged(mask: Mask) -> int:
+    """Return the step of rows and columns that leaves about `_JUDGED` pixels of a mask."""
+    return max(1, round(float(np.sqrt(mask.sum() / _JUDGED))))
 
 
 def _scatter_of_regions(lengths: FloatArray, lit: Mask) -> float:
@@ -350,13 +361,15 @@ def _scatter_of_regions(lengths: FloatArray, lit: Mask) -> float:
 
 def _warn_of_other_material(job: ReconstructionJob, frame: LinearFrame, mask: Mask, albedo: float) -> None:
     lit = mask & ~frame.clipped
+    step = _step_between_judged(lit)
+    rgb, lit = frame.rgb[::step, ::step], lit[::step, ::step]
     v, u = np.nonzero(lit)
-    scaled = scaled_normals_from_rgb(frame.rgb[lit], job.rig.response, np.stack([u, v], axis=-1))
+    scaled = scaled_normals_from_rgb(rgb[lit], job.rig.response, step * np.stack([u, v], axis=-1))
     length = np.linalg.norm(scaled, axis=1) / albedo
     bright = length > 0.3  # the rest is in shadow
     if not bright.any():
         return
-    light = frame.rgb[lit] - job.rig.response.ambient
+    light = rgb[lit] - job.rig.response.ambient
     reached = length[bright & (light > _LIT_SHARE * light.max(axis=1, keepdims=True)).all(axis=1)]
     facing = (scaled[bright] / length[bright, None]).mean(axis=0)
     tilt_deg = float(np.degrees(np.arccos(np.clip(-facing[2] / np.linalg.norm(facing), -1.0, 1.0))))
