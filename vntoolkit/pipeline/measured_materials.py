@@ -63,14 +63,13 @@ class MeasuredMaterials:
     """What the first frames tell of a subject's materials.
 
     entries: empty where all is the rig's. relative_albedo: how bright the subject is then against the rig's
-    material; None where there are others. labeller: of the materials, which knows what a frame told of noise
-    and blur, and labels: (h, w), of the first frame; None where all is the rig's.
+    material; None where there are others. seen: the first frame by the materials; None where all is the
+    rig's.
     """
 
     entries: list[MaterialEntry]
     relative_albedo: float | None = None
-    labeller: MaterialLabeller | None = None
-    labels: MaterialLabels | None = None
+    seen: "LabelledFrame | None" = None
 
 
 class FirstFrames:
@@ -139,18 +138,16 @@ def measured_materials(job: ReconstructionJob, first_frames: FirstFrames) -> Mea
         searched = searched_frames(levelled, subjects, central)
         first_frames.leave_out_from(searched.count)
         found = find_materials(searched, count)
-        seen = _Labelled.by(found, *first)
+        seen = LabelledFrame.by(found, *first)
         if count is None and seen.left_at_seams() > _MOST_LEFT:
             one = find_materials(searched, 1)
             if _is_of_rig(one[0], *first) or _are_alike(found, one[0], *first):
-                found, seen = one, _Labelled.by(one, *first)
+                found, seen = one, LabelledFrame.by(one, *first)
         found = _told(found, choice)
         found, pigments = _with_pigments(found, seen)
         found = _explaining(found, pigments, seen, choice)
         if found and not (choice is MaterialSearch.AUTO and len(found) == 1 and _is_of_rig(found[0], *first)):
-            return MeasuredMaterials(
-                entries=_entries(found, pigments), labeller=seen.labeller, labels=seen.labels
-            )
+            return MeasuredMaterials(entries=_entries(found, pigments), seen=seen)
     try:
         albedo = relative_albedo_from_frame(firsts[0].frame, response, firsts[0].mask)
     except BadInput as error:
@@ -161,21 +158,19 @@ def measured_materials(job: ReconstructionJob, first_frames: FirstFrames) -> Mea
 
 
 def refitted_materials(
-    job: ReconstructionJob,
-    first_frames: FirstFrames,
-    labeller: MaterialLabeller,
-    first_labels: MaterialLabels,
+    job: ReconstructionJob, first_frames: FirstFrames, first: "LabelledFrame"
 ) -> list[MaterialEntry]:
     """Return the job's materials, fitted again to what the first frames show under lamps that are near.
 
     The search takes the lamps' directions at the centre. With labels known, each pixel's own are taken.
-    labeller: of the materials as they were measured. first_labels: (h, w), of the first frame.
+    first: the first frame by the materials as they were measured.
     """
     response, known = job.rig.response, np.array(job.reflectances)
-    labeller, far, subjects, labels = labeller.with_reflectances(known), [], [], []
+    labeller, far, subjects = first.labeller.with_reflectances(known), [], []
+    labels: list[MaterialLabels] = []
     for each in first_frames.seen(job):
         labeller.forget()
-        labels.append(labeller.labels(each.by_strength, each.subject) if labels else first_labels)
+        labels.append(labeller.labels(each.by_strength, each.subject) if labels else first.labels)
         seams = labeller.seams
         # Colours that a camera interpolated make normals longer, most in dark paint: as noise does.
         weighed = None if seams is None or seams.red is None else seams.of_any_length
@@ -185,7 +180,7 @@ def refitted_materials(
         subjects.append(each.subject)
     found = fitted_again(searched_frames(far, subjects, response.central), known)
     labeller = labeller.with_reflectances(np.array([each.reflectance.values for each in found]))
-    seen = _Labelled(
+    seen = LabelledFrame(
         frame=far[0], mask=subjects[0], response=response.central, labeller=labeller, labels=labels[0]
     )
     return _entries(*_with_pigments(found, seen))
@@ -226,8 +221,11 @@ def _told(found: list[Material], choice: MaterialSearch | int) -> list[Material]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _Labelled:
-    """A frame whose pixels are labelled, (h, w), by the materials of its labeller."""
+class LabelledFrame:
+    """A frame whose pixels are labelled, (h, w), by the materials of its labeller.
+
+    The labeller knows what the frame told of noise and blur.
+    """
 
     frame: LinearFrame
     mask: Mask
@@ -238,7 +236,7 @@ class _Labelled:
     @classmethod
     def by(
         cls, found: list[Material], frame: LinearFrame, mask: Mask, response: LightResponse
-    ) -> "_Labelled":
+    ) -> "LabelledFrame":
         """Label a frame."""
         labeller = MaterialLabeller(response, np.array([each.reflectance.values for each in found]))
         labels = labeller.labels(frame, mask)
@@ -265,7 +263,7 @@ class _Labelled:
         return rgb.reshape(-1, 3)[sound[:: max(1, len(sound) // _JUDGED)]].astype(np.float64)
 
 
-def _with_pigments(found: list[Material], seen: _Labelled) -> tuple[list[Material], list[Vector3 | None]]:
+def _with_pigments(found: list[Material], seen: LabelledFrame) -> tuple[list[Material], list[Vector3 | None]]:
     """Return the materials, and the line (3,) along which each changes, None where it hardly does."""
     if not found:
         return [], []
@@ -280,7 +278,7 @@ def _with_pigments(found: list[Material], seen: _Labelled) -> tuple[list[Materia
 def _explaining(
     found: list[Material],
     pigments: list[Vector3 | None],
-    seen: _Labelled,
+    seen: LabelledFrame,
     choice: MaterialSearch | int,
 ) -> list[Material]:
     """Return the materials; warn where they leave much of a frame unexplained, and return none where most."""
@@ -364,7 +362,7 @@ def _warn_of_other_material(job: ReconstructionJob, frame: LinearFrame, mask: Ma
     step = _step_between_judged(lit)
     rgb, lit = frame.rgb[::step, ::step], lit[::step, ::step]
     v, u = np.nonzero(lit)
-    scaled = scaled_normals_from_rgb(rgb[lit], job.rig.response, step * np.stack([u, v], axis=-1))
+    scaled = scaled_normals_from_rgb(rgb[lit], job.rig.response, float(step) * np.stack([u, v], axis=-1))
     length = np.linalg.norm(scaled, axis=1) / albedo
     bright = length > 0.3  # the rest is in shadow
     if not bright.any():

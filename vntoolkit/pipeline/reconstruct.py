@@ -178,11 +178,12 @@ def _prepared(
     first_frames = FirstFrames(capture, mattes, numbers)
     job, measured = resolve_options(job, capture, mattes, numbers, earlier, first_frames)
     if seeks_materials(job) and job.surface is None:
-        examined = _require_plausible(job, capture, mattes, numbers, measured.labeller)
+        labeller = None if measured.seen is None else measured.seen.labeller
+        examined = _require_plausible(job, capture, mattes, numbers, labeller)
     job = _with_blur(_with_near_lamps(job, examined, earlier), examined, earlier)
     materials = measured.entries
-    if earlier is None and measured.labels is not None and job.rig.response.variation is not None:
-        materials = refitted_materials(job, first_frames, measured.labeller, measured.labels)
+    if earlier is None and measured.seen is not None and job.rig.response.variation is not None:
+        materials = refitted_materials(job, first_frames, measured.seen)
         job = _of_materials(job, materials)
     manifest = manifest_of_run(job, capture, mattes, frames, materials, examined.findings)
     if resumes:
