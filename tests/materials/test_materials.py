@@ -257,6 +257,33 @@ def test_frames_are_searched_together_and_again_with_the_same_result() -> None:
     assert np.array_equal(found[0][0].reflectance.values, found[1][0].reflectance.values)
 
 
+def blurred_stripes(width: int, blur_px: float) -> tuple[LinearFrame, np.ndarray]:
+    """Stripes of two paints on a dome, seen through a lens."""
+    size = 160
+    normals, mask = dome(size)
+    light = (
+        np.maximum(normals @ DIRECTIONS.T, 0.0) * PAINTS[np.indices((size, size))[1] // width % 2] @ COLOURS
+    )
+    light = gaussian_filter(light, blur_px, axes=(0, 1))
+    light += np.random.default_rng(width).normal(0.0, LEVEL, light.shape)
+    return LinearFrame((light * mask[..., None]).astype(np.float32)), mask
+
+
+def test_mixtures_on_the_edges_of_stripes_do_not_bend_their_reflectances() -> None:
+    frame, mask = blurred_stripes(10, 1.5)
+    found = find_materials(searched_frames([frame], [mask], RESPONSE))
+    assert len(found) == 2
+    values = np.array([each.reflectance.values for each in found])
+    apart = np.abs(np.log(values[:, None] / PAINTS[:2])).max(axis=2)
+    assert apart.min(axis=0).max() < 0.01  # 0.02 with the pixels on edges
+
+
+def test_one_frame_in_small_blocks_is_looked_at_where_stripes_are_narrow() -> None:
+    for width, frames in ((8, 1), (16, 2)):
+        frame, mask = blurred_stripes(width, 1.0)
+        assert searched_frames([frame, frame], [mask, mask], RESPONSE).count == frames
+
+
 def test_a_shadow_is_no_material() -> None:
     normals, mask = dome()
     shares = np.maximum(normals @ DIRECTIONS.T, 0.0) * PAINTS[0]
