@@ -24,6 +24,7 @@ from vntoolkit.materials.search import (
     fitted_again,
     searched_frames,
 )
+from vntoolkit.materials.split_frame import block_size
 from vntoolkit.normals.inversion import relative_albedo_from_frame
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.levelling import leveller_of
@@ -63,8 +64,7 @@ class MeasuredMaterials:
     """What the first frames tell of a subject's materials.
 
     entries: empty where all is the rig's. relative_albedo: how bright the subject is then against the rig's
-    material; None where there are others. seen: the first frame by the materials; None where all is the
-    rig's.
+    material; None where there are others. seen: the first frame, labelled; None where all is the rig's.
     """
 
     entries: list[MaterialEntry]
@@ -100,8 +100,8 @@ class FirstFrames:
                 subject=processor.lit_subject(frame),
             )
 
-    def leave_out_from(self, count: int) -> None:
-        """Leave all out but the first so many: the others tell nothing."""
+    def keep_first(self, count: int) -> None:
+        """Keep the first `count` frames alone: materials were not searched on the others."""
         self._numbers = self._numbers[:count]
 
     def _decoded(self, number: int) -> EncodedFrame:
@@ -136,7 +136,7 @@ def measured_materials(job: ReconstructionJob, first_frames: FirstFrames) -> Mea
         first = levelled[0], subjects[0], central
         count = None if isinstance(choice, MaterialSearch) else choice
         searched = searched_frames(levelled, subjects, central)
-        first_frames.leave_out_from(searched.count)
+        first_frames.keep_first(searched.count)
         found = find_materials(searched, count)
         seen = LabelledFrame.by(found, *first)
         if count is None and seen.left_at_seams() > _MOST_LEFT:
@@ -163,7 +163,7 @@ def refitted_materials(
     """Return the job's materials, fitted again to what the first frames show under lamps that are near.
 
     The search takes the lamps' directions at the centre. With labels known, each pixel's own are taken.
-    first: the first frame by the materials as they were measured.
+    first: the first frame, labelled by the materials as they were measured.
     """
     response, known = job.rig.response, np.array(job.reflectances)
     labeller, far, subjects = first.labeller.with_reflectances(known), [], []
@@ -331,7 +331,7 @@ def _turn_deg(
     that scatter by x may turn normals by about x radians.
     """
     inside = mask & ~frame.clipped
-    step = _step_between_judged(inside)
+    step = block_size(inside, _JUDGED)
     rgb, inside = frame.rgb[::step, ::step], inside[::step, ::step]
     lit = inside & (rgb.max(axis=2) > 0.1 * np.percentile(rgb[inside], 99))
     inverse, shares = np.linalg.inv(response.lights), rgb[lit] @ response.contributions_from_rgb.T
@@ -340,11 +340,6 @@ def _turn_deg(
     cosines = (others * own).sum(axis=1) / np.linalg.norm(others, axis=1) / lengths
     turn_deg = float(np.degrees(np.median(np.arccos(np.clip(cosines, -1.0, 1.0)))))
     return turn_deg, _BENT * float(np.degrees(_scatter_of_regions(lengths, lit)))
-
-
-def _step_between_judged(mask: Mask) -> int:
-    """Return the step of rows and columns that leaves about `_JUDGED` pixels of a mask."""
-    return max(1, round(float(np.sqrt(mask.sum() / _JUDGED))))
 
 
 def _scatter_of_regions(lengths: FloatArray, lit: Mask) -> float:
@@ -359,7 +354,7 @@ def _scatter_of_regions(lengths: FloatArray, lit: Mask) -> float:
 
 def _warn_of_other_material(job: ReconstructionJob, frame: LinearFrame, mask: Mask, albedo: float) -> None:
     lit = mask & ~frame.clipped
-    step = _step_between_judged(lit)
+    step = block_size(lit, _JUDGED)
     rgb, lit = frame.rgb[::step, ::step], lit[::step, ::step]
     v, u = np.nonzero(lit)
     scaled = scaled_normals_from_rgb(rgb[lit], job.rig.response, float(step) * np.stack([u, v], axis=-1))
