@@ -15,9 +15,9 @@ from pathlib import Path
 import numpy as np
 
 from vntoolkit.calibration.board import BoardOptions
-from vntoolkit.cli.calibrate import board
+from vntoolkit.cli.calibrate import FootageFlags, board
 from vntoolkit.cli.evaluate import cylinder
-from vntoolkit.cli.reconstruct import reconstruct
+from vntoolkit.cli.reconstruct import RunFlags, reconstruct
 from vntoolkit.cli.simulate import simulate
 from vntoolkit.pipeline.evaluate import CylinderEvaluation
 from vntoolkit.pipeline.options import Product, ReconstructOptions
@@ -30,9 +30,10 @@ def measured(out: Path, name: str, degree: int, frames: str) -> CylinderEvaluati
     rig, result, truth = out / f"{name}.json", out / name, out / "cylinder"
     lens = truth / "truth" / "rig.json"
     film, options = str(out / "board" / "capture.mkv"), BoardOptions(degree=degree)
-    board(film, out=rig, camera=lens, layout=SWEPT_LAYOUT, options=options)
+    board(film, out=rig, footage=FootageFlags(camera=lens), layout=SWEPT_LAYOUT, options=options)
     normals = ReconstructOptions(to=Product.NORMALS)
-    reconstruct(str(truth / "capture.mkv"), rig=rig, out=result, frames=frames, options=normals)
+    running = RunFlags(frames=frames)
+    reconstruct(str(truth / "capture.mkv"), rig=rig, out=result, running=running, options=normals)
     return cylinder(result, truth=truth, out=out / f"{name}_error")
 
 
