@@ -73,7 +73,7 @@ def run(documentation: str, name: str, scene: str) -> None:
     parser = argparse.ArgumentParser(description=documentation, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--out", type=Path, default=Path("out") / name, help="folder to write")
     parser.add_argument("--frames", type=int, default=1000)
-    parser.add_argument("--quick", dest="frames", action="store_const", const=6, help="6 frames")
+    parser.add_argument("--quick", dest="frames", action="store_const", const=3, help="3 frames")
     main(**vars(parser.parse_args()), scene=scene)
 
 
