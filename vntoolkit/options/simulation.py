@@ -146,6 +146,7 @@ class Nuisances:
         return replace(alone, **{name: getattr(self, name)})
 
 
+# nuisance -> the value that turns it off
 _SWITCHES: dict[str, object] = {
     **{f.name: False for f in fields(Nuisances) if f.type is bool},
     "blur_px": 0.0,

@@ -22,9 +22,6 @@ _ACROSS = np.array(
 ) / np.float32(8)
 
 
-# nuisance -> the value that turns it off
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Exposed:
     """One photograph.
