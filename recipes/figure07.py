@@ -14,13 +14,13 @@ from pathlib import Path
 
 import numpy as np
 
-from vntoolkit.calibration.board import BoardOptions
 from vntoolkit.cli.calibrate import FootageFlags, board
 from vntoolkit.cli.evaluate import cylinder
 from vntoolkit.cli.reconstruct import RunFlags, reconstruct
 from vntoolkit.cli.simulate import simulate
+from vntoolkit.options.calibration import BoardOptions
+from vntoolkit.options.reconstruction import Product, ReconstructOptions
 from vntoolkit.pipeline.evaluate import CylinderEvaluation
-from vntoolkit.pipeline.options import Product, ReconstructOptions
 from vntoolkit.report.recipes_page import number, write_numbers
 from vntoolkit.simulation.rigid.board_and_cylinder import SWEPT_LAYOUT
 

@@ -15,15 +15,15 @@ from vntoolkit.cli.calibrate import board
 from vntoolkit.cli.reconstruct import reconstruct
 from vntoolkit.cli.simulate import simulate
 from vntoolkit.evaluation.track_error import TrackError
+from vntoolkit.options.normals import ShadowMethod
+from vntoolkit.options.reconstruction import Product, ReconstructOptions
+from vntoolkit.options.simulation import SceneOptions
+from vntoolkit.options.tracking import Tracker, TrackingOptions
 from vntoolkit.pipeline.checkerboard import write_checkerboard
 from vntoolkit.pipeline.evaluate import evaluate_tracks, write_track_errors
-from vntoolkit.pipeline.options import Product, ReconstructOptions
 from vntoolkit.pipeline.track import TrackJob, track
 from vntoolkit.report.figures import write_error_plot, write_moments
 from vntoolkit.report.recipes_page import number, write_numbers
-from vntoolkit.shadows.detector import ShadowMethod
-from vntoolkit.simulation.scene import SceneOptions
-from vntoolkit.tracking.options import Tracker, TrackingOptions
 
 COMPARED = ("no-registration", "flow", "translation", "laplacian", "arap", "default")
 FIELD_WIDTH_M = {"face": 0.355, "sweater": 1.42}  # the scenes' own; the board is filmed at the same zoom

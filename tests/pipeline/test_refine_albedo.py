@@ -13,17 +13,14 @@ from vntoolkit.evaluation.angular_error import angular_error_map
 from vntoolkit.io.maps_and_meshes.label_images import read_labels
 from vntoolkit.io.maps_and_meshes.maps import read_normal_map
 from vntoolkit.io.results.manifest import read_manifest
+from vntoolkit.options.reconstruction import ReconstructOptions
+from vntoolkit.options.tracking import TrackingOptions
 from vntoolkit.photometry.frame import ALL_LIT
 from vntoolkit.pipeline.opened_result import open_result
-from vntoolkit.pipeline.options import (
-    ReconstructOptions,
-    option_values,
-    options_from_values,
-)
+from vntoolkit.pipeline.options import option_values, options_from_values
 from vntoolkit.pipeline.painted_surface import PaintedSurface, TrackedReflectance
 from vntoolkit.pipeline.refine_albedo import refine_albedo
 from vntoolkit.pipeline.track import TrackJob, track
-from vntoolkit.tracking.options import TrackingOptions
 
 __all__ = ["dome_result"]
 

@@ -6,7 +6,8 @@ from typing import Annotated
 from vntoolkit.cli.flags import Flags, verb
 from vntoolkit.cli.output import PAGE, print_next, require_output
 from vntoolkit.io.results.manifest import read_manifest
-from vntoolkit.report.report import ReportOptions, write_report
+from vntoolkit.options.pages import ReportOptions
+from vntoolkit.report.report import write_report
 
 
 @verb("max_megapixels", "max_vertices")

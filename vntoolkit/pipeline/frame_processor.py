@@ -24,16 +24,17 @@ from vntoolkit.native import keep_freed_memory
 from vntoolkit.normals import expected_error
 from vntoolkit.normals.gel import GelInverter, drift_of_change
 from vntoolkit.normals.inversion import normals_from_encoded, normals_from_frame, relative_albedo_from_frame
+from vntoolkit.options.normals import ShadowMethod
+from vntoolkit.options.reconstruction import Product, ReconstructOptions
 from vntoolkit.photometry.frame import ALL_LIT, LinearFrame
 from vntoolkit.photometry.levelling import Box, leveller_of
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import Transfer, TransferCurve, encoded_from_linear
 from vntoolkit.pipeline.contact import contact_from_depth, rested
-from vntoolkit.pipeline.options import Product, ReconstructOptions
 from vntoolkit.pipeline.outputs import FrameResult
 from vntoolkit.pipeline.painted_surface import PaintedSurface
 from vntoolkit.shadows.contributions import brighter_than
-from vntoolkit.shadows.detector import ShadowDetector, ShadowMethod
+from vntoolkit.shadows.detector import ShadowDetector
 from vntoolkit.shadows.lamp_directions import LampDirections, directions_from_shadows, unlit_by_lamp
 from vntoolkit.shadows.recovery import recover_surface
 

@@ -17,9 +17,8 @@ from vntoolkit.diagnosis.inspection import Examination, examine_capture
 from vntoolkit.errors import BadCapture, BadInput, VntError
 from vntoolkit.io.atomic import remove_numbered, require_apart, sole_writer, write_text
 from vntoolkit.io.footage.captures import Capture, CaptureInfo
-from vntoolkit.io.footage.frame_range import FrameRange, Gaps
-from vntoolkit.io.footage.mattes import MatteOptions, Mattes, require_mattes
-from vntoolkit.io.footage.mosaics import SensorOptions
+from vntoolkit.io.footage.frame_range import FrameRange
+from vntoolkit.io.footage.mattes import Mattes, require_mattes
 from vntoolkit.io.footage.sequence import text_of_names
 from vntoolkit.io.results import manifest as manifests
 from vntoolkit.io.results.frame_log import FRAMES_NAME, FrameEntry, FrameLog
@@ -27,6 +26,9 @@ from vntoolkit.io.rigs import entry_from_rig
 from vntoolkit.materials.labelling import MaterialLabeller
 from vntoolkit.materials.pixels import near_seams
 from vntoolkit.materials.relighting import relit
+from vntoolkit.options.footage import Gaps, MatteOptions, SensorOptions
+from vntoolkit.options.normals import ShadowMethod
+from vntoolkit.options.reconstruction import MaterialSearch
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import with_near_lamps
 from vntoolkit.pipeline.block_work import Block, BlockWorker, ReconstructionJob
@@ -40,11 +42,10 @@ from vntoolkit.pipeline.measured_materials import (
     refitted_materials,
     seeks_materials,
 )
-from vntoolkit.pipeline.options import SENSOR_PREFIX, MaterialSearch, option_values
+from vntoolkit.pipeline.options import SENSOR_PREFIX, option_values
 from vntoolkit.pipeline.outputs import FRAME_FILES
 from vntoolkit.pipeline.painted_surface import TrackedReflectance
 from vntoolkit.pipeline.processes import shared_out
-from vntoolkit.shadows.detector import ShadowMethod
 
 logger = logging.getLogger(__name__)
 Started = Callable[[int, int], None]

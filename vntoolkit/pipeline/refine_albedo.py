@@ -17,14 +17,16 @@ import numpy as np
 from vntoolkit.arrays import Float32Array, FloatArray, IntArray, Mask, Matrix3, Points, Points2, Vectors
 from vntoolkit.errors import BadInput
 from vntoolkit.io.atomic import write_bytes
-from vntoolkit.io.footage.frame_range import FrameRange, Gaps
+from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.results.frame_log import FrameEntry
 from vntoolkit.io.results.sequences import read_mesh_sequence
+from vntoolkit.options.footage import Gaps
+from vntoolkit.options.reconstruction import OnError, Product
 from vntoolkit.photometry.frame import count_lit
 from vntoolkit.photometry.levelling import leveller_of
 from vntoolkit.pipeline.block_work import ReconstructionJob
 from vntoolkit.pipeline.opened_result import OpenedResult, open_result
-from vntoolkit.pipeline.options import OnError, Product, options_from_values, sensor_from_values
+from vntoolkit.pipeline.options import options_from_values, sensor_from_values
 from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.painted_surface import TrackedReflectance
 from vntoolkit.pipeline.reconstruct import ReconstructionSummary, reconstruct

@@ -13,13 +13,13 @@ from vntoolkit.geometry.camera import Camera
 from vntoolkit.io.footage.captures import CaptureOptions, open_capture
 from vntoolkit.io.footage.decoding import EncodedFrame, linear_frame_from_encoded
 from vntoolkit.io.footage.images import write_png
-from vntoolkit.io.footage.mosaics import SensorOptions
 from vntoolkit.io.light_files import read_lights
 from vntoolkit.io.results.frame_log import FrameEntry, FrameLog
 from vntoolkit.io.results.manifest import now_utc, read_manifest
 from vntoolkit.io.results.seams import read_seams
 from vntoolkit.io.rigs import read_rig, write_rig
-from vntoolkit.live.capture import CameraOptions
+from vntoolkit.options.footage import SensorOptions
+from vntoolkit.options.pages import CameraOptions
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.rig import Rig, SourceFile
 from vntoolkit.photometry.transfer import Transfer
