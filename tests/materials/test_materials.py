@@ -11,7 +11,6 @@ from scipy.ndimage import gaussian_filter
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.materials import blurred_labels, pixels
-from vntoolkit.materials.blurred_labels import BlurredLabels
 from vntoolkit.materials.labelling import MaterialLabeller
 from vntoolkit.materials.reflectance import (
     Lamps,
@@ -511,21 +510,6 @@ def test_lines_beside_which_nothing_changed_are_left_as_deciding_them_again_woul
     assert np.array_equal(*found)
     assert not np.array_equal(found[0], start)
     assert max(reaches) == (3 if blur_px else 1)
-
-
-def test_of_two_pictures_of_labels_the_cheaper_is_taken_in_each_piece() -> None:
-    truth = sectors().astype(np.uint8)
-    frame, _, mask = painted(truth)
-    split = split_frame(frame, RESPONSE, mask)
-    labeller = BlurredLabels(split.lamps, np.log(PAINTS), pixels.Spread(0.02, 0.02))
-    truth = labeller.settled(split.colours, split.lit, truth)
-    one, other = truth.copy(), truth.copy()
-    one[40:55, 20:32] = (truth[40:55, 20:32] + 1) % 3
-    other[70:80, 80:95] = (truth[70:80, 80:95] + 1) % 3
-    seen = split.colours, split.lit
-    for pair in ((one, other), (other, one)):
-        found = labeller.with_cheaper(*seen, *pair)
-        np.testing.assert_array_equal(found[split.lit], truth[split.lit])
 
 
 def test_carried_labels_away_from_changes_are_as_deciding_them_again_leaves_them_but_for_a_few(

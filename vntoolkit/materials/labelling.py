@@ -375,10 +375,7 @@ class MaterialLabeller:
         found = self._coarse.decided(coarse, active)
         if self._beside_seams is None:
             self._beside_seams = BlurredLabels(split.lamps, self._logs, self._coarse.spread)
-        at_once = self._coarse.decided_at_once(coarse, active)
-        seen = split.colours, split.lit
-        found = self._beside_seams.settled(*seen, found)
-        found = self._beside_seams.with_cheaper(*seen, found, at_once)
+        found = self._beside_seams.settled(split.colours, split.lit, found)
         paid = self._coarse.prices(found)[split.lit].astype(np.float64)
         self._doubtful = float(np.quantile(paid, 1.0 - _DOUBTFUL_SHARE)) if paid.size else np.inf
         self._mean_price = float(paid.mean()) if paid.size else np.inf

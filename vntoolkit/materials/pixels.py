@@ -14,7 +14,6 @@ import numpy.typing as npt
 from numba import prange
 
 from vntoolkit.arrays import FloatArray, Mask, Points
-from vntoolkit.materials.messages import labels_by_messages
 from vntoolkit.materials.mixtures import MOST_REACH_PX, blur_weights
 from vntoolkit.materials.reflectance import CAP, Lamps, bias_of_noise, length_and_variance
 from vntoolkit.native import njit
@@ -123,17 +122,6 @@ class PixelLabeller:
             found = self._by_lines(labels, active, allowed, _SWEEPS)
             self.blur_px = likeliest_blur_px(*known, found)
         return found
-
-    def decided_at_once(self, labels: MaterialLabels, active: Mask) -> MaterialLabels:
-        """Return labels as `decided` does, after it and with the same arguments, by messages.
-
-        Messages turn patches that lines cannot turn, and lose some that lines keep.
-        """
-        prices = self._room_for(self._values)[1]
-        return labels_by_messages(
-            labels, active & self._lit, prices, self._steps(), self._logs.astype(np.float32), self._reach,
-            float(_SEAM_PRICE),
-        )  # fmt: skip
 
     def followed(self, labels: MaterialLabels, active: Mask, any_label: Mask, sweeps: int) -> MaterialLabels:
         """Return labels (h, w) of little cost, from those of the frame before.
