@@ -43,7 +43,6 @@ _LEAST_SPREAD = 0.005  # of lengths: reflectances are known no better
 _FIRST_SPREAD = 0.04
 _SEAM_PRICE = 1.0  # of a neighbour of another material, where the reflectances are known
 _SWEEPS = 12
-_PATCH_SWEEPS = 4
 _MESSAGE_ROUNDS = 5
 _DOUBTFUL = 1.5  # price of a region from which its pixels are decided one by one …
 _BESIDE = 4  # … and those that near to a seam
@@ -460,8 +459,8 @@ def agreed(
 
     seam: price of a neighbour of another material, however well the step fits. start: (n,) labels.
 
-    Without a start by messages along trees (kolmogorov2006); then iterated conditional modes (besag1986), of
-    regions and of patches of regions of one label.
+    Without a start by messages along trees (kolmogorov2006); then iterated conditional modes
+    (besag1986).
     """
     weights = regions.sizes / INDEPENDENT_PX
     edges = regions.starts, regions.neighbours, regions.steps, regions.contacts
@@ -469,10 +468,7 @@ def agreed(
         labels = _by_messages(costs * weights[:, None], logs, *edges, regions.twins, seam, _MESSAGE_ROUNDS)
     else:
         labels = start.astype(np.int64)
-    for _ in range(_PATCH_SWEEPS):
-        _agree(costs, weights, labels, logs, *edges, seam, _SWEEPS)
-        if not _turn_patches(costs, weights, labels, logs, *edges, seam):
-            break
+    _agree(costs, weights, labels, logs, *edges, seam, _SWEEPS)
     return labels
 
 
@@ -582,54 +578,6 @@ def _agree(
                     waits[neighbours[e]] = True
         if not changed:
             break
-
-
-@njit(cache=True, error_model="numpy")
-def _turn_patches(
-    costs: Any,
-    weights: Any,
-    labels: Any,
-    logs: Any,
-    starts: Any,
-    neighbours: Any,
-    steps: Any,
-    contacts: Any,
-    seam: float,
-) -> bool:
-    """Give whole patches of one label another where that costs less; return whether any changed."""
-    n, count = costs.shape
-    patch = np.full(n, -1, np.int64)
-    queue = np.empty(n, np.int64)
-    across, total = np.ascontiguousarray(logs.T), np.empty(count)
-    changed = False
-    for first in range(n):
-        if patch[first] >= 0:
-            continue
-        own = labels[first]
-        patch[first] = first
-        queue[0] = first
-        size, done = 1, 0
-        total[:] = 0.0
-        while done < size:
-            i = queue[done]
-            done += 1
-            for m in range(count):
-                total[m] += weights[i] * costs[i, m]
-            for e in range(starts[i], starts[i + 1]):
-                j = neighbours[e]
-                b = labels[j]
-                if b == own and patch[j] < 0:
-                    patch[j] = first
-                    queue[size] = j
-                    size += 1
-                if patch[j] != first:
-                    _add_steps(e, steps, contacts, across, b, seam, total)
-        best = total.argmin()
-        if best != own and total[best] < total[own] - 1e-9:
-            changed = True
-            for k in range(size):
-                labels[queue[k]] = best
-    return changed
 
 
 @njit(cache=True, error_model="numpy")
