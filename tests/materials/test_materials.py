@@ -528,14 +528,6 @@ def test_carried_labels_away_from_changes_are_as_deciding_them_again_leaves_them
     assert np.mean(found[0] != found[1]) < 1e-3
 
 
-def test_a_yarn_of_a_tartan_that_is_seen_in_small_squares_only_is_found_by_its_mixtures() -> None:
-    frame, mask = tartan(180, seed=3)
-    found = find_materials(searched_frames([frame], [mask], RESPONSE))
-    values = np.array([each.reflectance.values for each in found])
-    assert len(found) == 6
-    assert np.abs(np.log(values[:, None] / YARNS)).max(axis=2).min(axis=0).max() < 0.1
-
-
 def test_a_tartan_too_fine_for_the_blocks_of_three_frames_is_looked_at_in_one() -> None:
     frames, masks = zip(*(tartan(240, seed) for seed in (3, 4, 5)), strict=True)
     found = find_materials(searched_frames(frames, masks, RESPONSE))

@@ -21,7 +21,7 @@ from scipy.linalg import block_diag
 
 from vntoolkit.arrays import FloatArray, IntArray, Mask, Points
 from vntoolkit.errors import BadInput
-from vntoolkit.materials.labelling import agreed, prices_of_regions, spread_of, step_cost, total_cost
+from vntoolkit.materials.labelling import agreed, prices_of_regions, spread_of, total_cost
 from vntoolkit.materials.paint_levels import FALL, PAINT_STEP, Seams
 from vntoolkit.materials.pixels import INDEPENDENT_PX, Spread
 from vntoolkit.materials.reflectance import CAP, Lamps, Reflectance, best_fit, reflectance_from_fit
@@ -72,7 +72,6 @@ _DOUBTFUL = 1.5  # price from which a region's seams tell nothing of its label
 _LARGEST_STEP = 0.3
 _FEW = 5.0  # nats of a material beside those of its numbers: subjects are of few
 _SPLITS, _LEAST_GAIN = 3, 1.0
-_DARKEST = 0.02  # reflectance of a yarn
 _MOST_PATCHES, _PATCH_PIXELS = 8, 240
 _SEAM_PRICE = 3.0  # of neighbours of two materials, that a print is of few colours and large patches
 # Standard deviation of log ρ from seams, where shading steps, too: 0.01 to 0.02 on tartans, more on one logo.
@@ -134,7 +133,6 @@ def find_materials(searched: SearchedFrames, count: int | None = None) -> list[M
     fixed = even, lamps, tolerance, 1, found.spread
     found = _settled(found.logs, found.labels, *fixed)
     if count is None:
-        found = _woven(found, even, lamps)
         one, of_rig = np.zeros(regions.count, np.int64), np.ones(1, np.bool_)
         rigs_own = _settled(np.zeros((1, 3)), one, *fixed, of_rig)
         if rigs_own.length <= found.length:
@@ -389,55 +387,6 @@ def _of_unexplained(found: _Found, regions: Regions, lamps: Lamps, tolerance: fl
     return np.array(kept).reshape(-1, 3)
 
 
-def _woven(found: _Found, regions: Regions, lamps: Lamps) -> _Found:
-    """Add yarns whose mixtures were found, and mixtures of yarns that were, where regions are of them.
-
-    Where two yarns cross, cloth has the mean of their reflectances. Squares of one yarn may be too small to
-    tell its three numbers. Those of others tell them, so that it costs only the choice among such sums.
-    """
-    count = len(found.logs)
-    if count < 2 or count == MOST_MATERIALS:
-        return found
-    first, second = (part.ravel() for part in np.indices((count, count)))
-    others, pairs = first != second, first < second
-    shares = np.repeat([[2.0, -1.0], [0.5, 0.5]], [others.sum(), pairs.sum()], axis=0)
-    first, second = (np.concatenate([part[others], part[pairs]]) for part in (first, second))
-    rho = np.exp(found.logs)
-    parts = shares[:, :1] * rho[first], shares[:, 1:] * rho[second]
-    thought = parts[0] + parts[1]
-    is_paint = thought.min(axis=1) > _DARKEST
-    thought = np.log(np.where(is_paint[:, None], thought, 1.0))
-    is_paint &= np.ptp(thought, axis=1) < _LARGEST_RATIO
-    is_paint &= (
-        np.abs(thought[:, None] - found.logs).max(axis=2).min(axis=1) > _TWINS * found.spread.of_regions
-    )
-    if not is_paint.any():
-        return found
-    costs = prices_of_regions(lengths_of(regions, thought, lamps), found.spread)
-    gains = _gains(
-        found.costs, costs, regions.sizes / INDEPENDENT_PX, found.labels, found.logs, thought,
-        regions.starts, regions.neighbours, regions.steps, regions.contacts,
-    )  # fmt: skip
-    best = int(np.where(is_paint, gains, -np.inf).argmax())
-    price = _FEW + float(np.log(is_paint.sum()))
-    if gains[best] < price:
-        return found
-    logs, costs = np.vstack([found.logs, thought[best]]), np.hstack([found.costs, costs[:, [best]]])
-    labels = agreed(costs, logs, regions, _SEAM_PRICE, found.labels)
-    length = total_cost(costs, labels, logs, regions, _SEAM_PRICE) + price
-    length += found.length - total_cost(found.costs, found.labels, found.logs, regions, _SEAM_PRICE)
-    if length >= found.length:
-        return found
-    slopes = np.zeros((3, 3 * count))  # of its log ρ by those of the others
-    for part, number in ((parts[0], first), (parts[1], second)):
-        slopes[:, 3 * number[best] : 3 * number[best] + 3] += np.diag(part[best] / np.exp(thought[best]))
-    covariance = slopes @ np.linalg.inv(found.normal_matrix + WEAK_PRIOR * np.eye(3 * count)) @ slopes.T
-    matrix = np.zeros((3 * count + 3, 3 * count + 3))
-    matrix[:-3, :-3], matrix[-3:, -3:] = found.normal_matrix, np.linalg.inv(covariance)
-    more = replace(found, logs=logs, labels=labels, costs=costs, length=length, normal_matrix=matrix)
-    return _woven(more, regions, lamps)
-
-
 def _in_rigs_hue(
     found: _Found, regions: Regions, lamps: Lamps, tolerance: float
 ) -> tuple[_Found, npt.NDArray[np.bool_]]:
@@ -564,28 +513,6 @@ def _cheapest(costs: FloatArray, logs: Points, regions: Regions, labels: IntArra
 def _numbers(regions: Regions) -> float:
     """Nats of a material: of its three numbers (schwarz1978), and that subjects are of few."""
     return _FEW + 1.5 * float(np.log(max(regions.sizes.sum() / INDEPENDENT_PX, 2.0)))
-
-
-@njit(cache=True)
-def _gains(
-    costs: Any, others: Any, weights: Any, labels: Any, logs: Any, thought: Any, starts: Any,
-    neighbours: Any, steps: Any, contacts: Any,
-) -> Any:  # fmt: skip
-    """(p,), what the regions gain that are better of another log ρ (p, 3), of prices (n, p)."""
-    gains = np.zeros(len(thought))
-    for i in range(len(labels)):
-        own = weights[i] * costs[i, labels[i]]
-        for e in range(starts[i], starts[i + 1]):
-            n = labels[neighbours[e]]
-            seam = 0.0 if n == labels[i] else _SEAM_PRICE
-            own += contacts[e] * step_cost(steps[e], logs[labels[i]], logs[n], seam)
-        for p in range(len(thought)):
-            other = weights[i] * others[i, p]
-            for e in range(starts[i], starts[i + 1]):
-                n = labels[neighbours[e]]
-                other += contacts[e] * step_cost(steps[e], thought[p], logs[n], _SEAM_PRICE)
-            gains[p] += max(own - other, 0.0)
-    return gains
 
 
 @njit(cache=True, error_model="numpy")
