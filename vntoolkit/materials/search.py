@@ -30,7 +30,6 @@ from vntoolkit.materials.region_lengths import (
     gather_lengths,
     lengths_of,
     normal_equations,
-    one_as_two,
     patches_of,
 )
 from vntoolkit.materials.regions import (
@@ -255,7 +254,7 @@ def _fewest(logs: Points, regions: Regions, lamps: Lamps, tolerance: float, coun
     """Return the shortest description, or that of `count` materials.
 
     Materials are left out one after the other; then what is still unexplained proposes others, as long as
-    that makes the description shorter; so do patches of one material that differ.
+    that makes the description shorter.
     """
     if count == 1:  # start from the proposal with most votes; all others would be left out again
         logs = logs[:1]
@@ -268,14 +267,6 @@ def _fewest(logs: Points, regions: Regions, lamps: Lamps, tolerance: float, coun
         again = _settled(np.vstack([found.logs, more]), None, regions, lamps, tolerance, 2, found.spread)
         again = _thinned(again, regions, lamps, tolerance, count, found.length)
         if again.length >= found.length - _LEAST_GAIN:
-            break
-        found = again
-    while count is None and len(found.logs) < MOST_MATERIALS:
-        gain, more, labels = one_as_two(found.logs, found.labels, regions, lamps, tolerance)
-        if gain < _numbers(regions):
-            break
-        again = _settled(more, labels, regions, lamps, tolerance, 2, found.spread)
-        if again.length >= found.length or _has_twins(again):
             break
         found = again
     return found
