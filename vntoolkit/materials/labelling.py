@@ -43,7 +43,6 @@ _LEAST_SPREAD = 0.005  # of lengths: reflectances are known no better
 _FIRST_SPREAD = 0.04
 _SEAM_PRICE = 1.0  # of a neighbour of another material, where the reflectances are known
 _SWEEPS = 12
-_MESSAGE_ROUNDS = 5
 _DOUBTFUL = 1.5  # price of a region from which its pixels are decided one by one …
 _BESIDE = 4  # … and those that near to a seam
 # Share of the pixels of a frame that is decided as a whole: in later frames what costs more is doubtful.
@@ -459,15 +458,11 @@ def agreed(
 
     seam: price of a neighbour of another material, however well the step fits. start: (n,) labels.
 
-    Without a start by messages along trees (kolmogorov2006); then iterated conditional modes
-    (besag1986).
+    By iterated conditional modes (besag1986), from the labels of least price where there is no start.
     """
     weights = regions.sizes / INDEPENDENT_PX
     edges = regions.starts, regions.neighbours, regions.steps, regions.contacts
-    if start is None:
-        labels = _by_messages(costs * weights[:, None], logs, *edges, regions.twins, seam, _MESSAGE_ROUNDS)
-    else:
-        labels = start.astype(np.int64)
+    labels = costs.argmin(axis=1) if start is None else start.astype(np.int64)
     _agree(costs, weights, labels, logs, *edges, seam, _SWEEPS)
     return labels
 
@@ -500,56 +495,6 @@ def _add_steps(edge: int, steps: Any, contacts: Any, logs: Any, of: int, seam: f
         r0, r1, r2 = d0 + logs[0, m], d1 + logs[1, m], d2 + logs[2, m]
         t = r0 * r0 + r1 * r1 + r2 * r2
         out[m] += contacts[edge] * (0.5 * CAP * CAP * t / (_MOST_STEP + t) + (0.0 if m == of else seam))
-
-
-@njit(cache=True, error_model="numpy")
-def _by_messages(
-    unary: Any, logs: Any, starts: Any, neighbours: Any, steps: Any, contacts: Any, twins: Any, seam: float,
-    rounds: int,
-) -> Any:  # fmt: skip
-    """Labels (n,) of little cost: sequential tree-reweighted messages. twins: (e,), the same step back."""
-    n, count = unary.shape
-    across = np.ascontiguousarray(logs.T)
-    messages = np.zeros((neighbours.size, count))  # of edge e: from its neighbour to its source
-    pair = np.zeros((neighbours.size, count, count))  # of edge e: of each label at its end, for each here
-    for e in range(neighbours.size):
-        for b in range(count):
-            _add_steps(e, steps, contacts, across, b, seam, pair[e, b])
-    labels = np.zeros(n, np.int64)
-    belief, source = np.empty(count), np.empty(count)
-    for r in range(2 * rounds):
-        ahead = r % 2 == 0
-        for k in range(n):
-            i = k if ahead else n - 1 - k
-            earlier = 0
-            for m in range(count):
-                belief[m] = unary[i, m]
-            for e in range(starts[i], starts[i + 1]):
-                earlier += neighbours[e] < i
-                for m in range(count):
-                    belief[m] += messages[e, m]
-            share = 1.0 / max(earlier, starts[i + 1] - starts[i] - earlier, 1)
-            for e in range(starts[i], starts[i + 1]):
-                if (neighbours[e] > i) != ahead:
-                    continue
-                for m in range(count):
-                    source[m] = share * belief[m] - messages[e, m]
-                back = twins[e]
-                sent, prices = messages[back], pair[back]
-                sent[:] = np.inf
-                for a in range(count):
-                    for b in range(count):
-                        cost = source[a] + prices[a, b]
-                        sent[b] = cost if cost < sent[b] else sent[b]
-                sent -= sent.min()
-    for i in range(n):
-        for m in range(count):
-            belief[m] = unary[i, m]
-        for e in range(starts[i], starts[i + 1]):
-            for m in range(count):
-                belief[m] += pair[e, labels[neighbours[e]], m] if neighbours[e] < i else messages[e, m]
-        labels[i] = belief.argmin()
-    return labels
 
 
 @njit(cache=True, error_model="numpy")

@@ -51,8 +51,7 @@ class Regions:
     samples: (n, SAMPLES, 3), contributions at pixels of each region. counts: (n,), how many. sizes: (n,).
     planes: (n, 4, SAMPLES) float32, the same, then 1 where there is a sample and 0 where there is none.
     logs: (n, 3), mean log s. starts: (n + 1,), where the neighbours of each begin in `neighbours` (e,).
-    steps: (e, 3), log s of the neighbour less its own. contacts: (e,), weights of the steps. twins: (e,), the
-    number of the same step from the neighbour's side.
+    steps: (e, 3), log s of the neighbour less its own. contacts: (e,), weights of the steps.
     """
 
     labels: IntArray
@@ -66,7 +65,6 @@ class Regions:
     neighbours: IntArray
     steps: FloatArray
     contacts: FloatArray
-    twins: IntArray
 
     @property
     def count(self) -> int:
@@ -279,12 +277,10 @@ def _neighbours(labels: IntArray, logs: FloatArray) -> dict[str, Any]:
     sources, neighbours = np.concatenate([one, other]), np.concatenate([other, one])
     contacts = np.minimum(np.tile(length, 2) / _FULL_CONTACT_PX, _MOST_CONTACT) / _NEIGHBOURS
     order = np.argsort(sources, kind="stable")
-    places = np.argsort(order)
     sources, neighbours = sources[order], neighbours[order]
     return {
         "starts": np.searchsorted(sources, np.arange(count + 1)),
         "neighbours": neighbours,
         "steps": logs[neighbours] - logs[sources],
         "contacts": contacts[order],
-        "twins": places[(order + len(one)) % max(len(order), 1)],
     }
