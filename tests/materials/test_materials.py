@@ -190,22 +190,6 @@ def test_light_that_changes_slowly_over_a_subject_is_no_further_material() -> No
     assert len(find_materials(searched_frames([frame], [mask], RESPONSE))) == 1
 
 
-@pytest.mark.parametrize("seed", [1, 4, 6])
-def test_paints_in_light_that_changes_from_side_to_side_are_not_split(seed: int) -> None:
-    """A tenth more or less light at the rim than in the middle, for each lamp along another line."""
-    rng = np.random.default_rng(seed)
-    normals, mask = dome(160)
-    v, u = (np.indices(mask.shape) - 79.5) / 80.0
-    squares = rng.integers(0, 3, (8, 8))[((v + 1) * 3.99).astype(int), ((u + 1) * 3.99).astype(int)]
-    ways = rng.normal(size=(3, 2))
-    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
-    gains = np.exp(0.12 * (ways[:, 0] * u[..., None] + ways[:, 1] * v[..., None]))
-    light = np.maximum(normals @ DIRECTIONS.T, 0.0) * gains * PAINTS[squares] @ COLOURS
-    light += rng.normal(0.0, 2 * LEVEL, light.shape)
-    frame = LinearFrame((light * mask[..., None]).astype(np.float32))
-    assert len(find_materials(searched_frames([frame], [mask], RESPONSE))) == 3
-
-
 def test_materials_that_are_fitted_again_stay_in_their_order() -> None:
     frame, _, mask = painted(sectors())
     known = PAINTS[::-1] * np.exp([0.02, -0.01, 0.01])

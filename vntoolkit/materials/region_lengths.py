@@ -195,30 +195,11 @@ def _add_equations(s: Any, numbers: Any, squared: Any, reach: Any) -> Any:
 
 
 @njit(cache=True)
-def gather_lengths(
-    labels: Any, changes: Any, matrices: Any, gradients: Any, matrix: Any, gradient: Any
-) -> None:  # fmt: skip
-    """Add the normal equations of lengths, (n, 3, 3) and (n, 3) of the regions, to those of the materials.
-
-    And of the numbers with which log s of the regions changes by changes (n, p, 3).
-    """
-    count = changes.shape[1]
-    last = len(gradient) - count
-    along = np.empty((count, 3))
+def gather_lengths(labels: Any, matrices: Any, gradients: Any, matrix: Any, gradient: Any) -> None:
+    """Add the normal equations of lengths, (n, 3, 3) and (n, 3) of the regions, to those of the materials."""
     for i in range(labels.size):
         first = 3 * labels[i]
         for a in range(3):
             gradient[first + a] += gradients[i, a]
             for b in range(3):
                 matrix[first + a, first + b] += matrices[i, a, b]
-        for p in range(count):
-            along[p] = 0.0
-            for a in range(3):
-                gradient[last + p] += changes[i, p, a] * gradients[i, a]
-                for b in range(3):
-                    along[p, a] += matrices[i, a, b] * changes[i, p, b]
-            for a in range(3):
-                matrix[first + a, last + p] += along[p, a]
-                matrix[last + p, first + a] += along[p, a]
-                for q in range(count):
-                    matrix[last + q, last + p] += changes[i, q, a] * along[p, a]

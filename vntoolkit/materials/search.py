@@ -5,8 +5,7 @@ First every region has a reflectance of its own. Steps of paint between neighbou
 many regions share are proposed as materials, too many of them. Then materials are left out, one after the
 other, and the shortest description of the frame is taken: lengths and steps in units of their spread, the
 seams of the label map, and three numbers a material (rissanen1978), or one of a material that has the hue of
-the rig's: black and white print is of one hue. Light that changes slowly over the subject is told with them:
-where its numbers make the description shorter, they take the place of materials.
+the rig's: black and white print is of one hue.
 """
 
 from __future__ import annotations
@@ -33,12 +32,8 @@ from vntoolkit.materials.region_lengths import (
     patches_of,
 )
 from vntoolkit.materials.regions import (
-    CHANGES,
     SHADING_STEP,
-    UNEVEN,
     Regions,
-    changes_of_light,
-    levelled,
     regions_of,
 )
 from vntoolkit.materials.split_frame import SplitFrame, split_frame, stacked
@@ -123,21 +118,18 @@ def searched_frames(
 
 def find_materials(searched: SearchedFrames, count: int | None = None) -> list[Material]:
     """Find the materials of a few frames, that of most pixels first; `count` or as many as there are."""
-    split, regions, lamps = searched.split, searched.regions, searched.split.lamps
+    regions, lamps = searched.regions, searched.split.lamps
     own, tolerance = _reflectances_of_regions(regions, lamps)
-    changes = changes_of_light(regions, split, searched.count)
     found = _fewest(_proposals(own, regions, count), regions, lamps, tolerance, count)
-    found = _in_uneven_light(found, regions, changes, lamps, tolerance, count)
-    change, even = found.change, levelled(regions, found.change)
-    fixed = even, lamps, tolerance, 1, found.spread
+    fixed = regions, lamps, tolerance, 1, found.spread
     found = _settled(found.logs, found.labels, *fixed)
     if count is None:
         one, of_rig = np.zeros(regions.count, np.int64), np.ones(1, np.bool_)
         rigs_own = _settled(np.zeros((1, 3)), one, *fixed, of_rig)
         if rigs_own.length <= found.length:
-            return _fitted_each(rigs_own, of_rig, searched, change, tolerance)
-    found, of_rig = _in_rigs_hue(found, even, lamps, tolerance)
-    materials = _fitted_each(found, of_rig, searched, change, tolerance)
+            return _fitted_each(rigs_own, of_rig, searched, tolerance)
+    found, of_rig = _in_rigs_hue(found, regions, lamps, tolerance)
+    materials = _fitted_each(found, of_rig, searched, tolerance)
     return sorted(materials, key=lambda material: -material.share)
 
 
@@ -148,20 +140,18 @@ def fitted_again(searched: SearchedFrames, known: Points) -> list[Material]:
     found = _settled(np.log(known), None, regions, lamps, tolerance, _FIRST_ROUNDS, None)
     found = _settled(found.logs, found.labels, regions, lamps, tolerance, 1, found.spread)
     found, of_rig = _in_rigs_hue(found, regions, lamps, tolerance)
-    return _fitted_each(found, of_rig, searched, found.change, tolerance)
+    return _fitted_each(found, of_rig, searched, tolerance)
 
 
-def _fitted_each(
-    found: _Found, of_rig: Mask, searched: SearchedFrames, change: FloatArray, tolerance: float
-) -> list[Material]:
+def _fitted_each(found: _Found, of_rig: Mask, searched: SearchedFrames, tolerance: float) -> list[Material]:
     """Return the materials of a description, each fitted once more to its own pixels.
 
-    of_rig: (m,), those of the hue of the rig's. change: (n, 3), of log light on the regions.
+    of_rig: (m,), those of the hue of the rig's.
     """
     split, regions = searched.split, searched.regions
     shares = np.bincount(found.labels[regions.labels[split.lit]], minlength=len(found.logs)) / split.lit.sum()
     of_region = regions.labels[regions.plain]  # on edges of paint are mixtures
-    labels, s = found.labels[of_region], split.contributions[regions.plain] * np.exp(-change)[of_region]
+    labels, s = found.labels[of_region], split.contributions[regions.plain]
     materials = []
     # of a material of the rig's hue, too, the error is what the footage leaves open: its hue is the likeliest
     covariance = np.linalg.inv(found.normal_matrix + 1e-9 * np.eye(3 * len(found.logs)))
@@ -235,10 +225,7 @@ def _proposals(own: Points, regions: Regions, count: int | None) -> Points:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Found:
-    """Materials so far. logs: (m, 3). labels: (n,). costs: (n, m). length: nats. normal_matrix: of logs.
-
-    change: (n, 3), of log light, by the numbers `uneven`.
-    """
+    """Materials so far. logs: (m, 3). labels: (n,). costs: (n, m). length: nats. normal_matrix: of logs."""
 
     logs: Points
     labels: IntArray
@@ -246,8 +233,6 @@ class _Found:
     length: float
     normal_matrix: FloatArray
     spread: Spread
-    change: FloatArray
-    uneven: FloatArray
 
 
 def _fewest(logs: Points, regions: Regions, lamps: Lamps, tolerance: float, count: int | None) -> _Found:
@@ -272,22 +257,9 @@ def _fewest(logs: Points, regions: Regions, lamps: Lamps, tolerance: float, coun
     return found
 
 
-def _in_uneven_light(
-    found: _Found, regions: Regions, changes: FloatArray, lamps: Lamps, tolerance: float, count: int | None
-) -> _Found:
-    """Return the description with changes of light, (n, CHANGES, 3), where these make it shorter.
-
-    They may take the place of materials, and make it shorter only then.
-    """
-    fixed = regions, lamps, tolerance, 2, found.spread
-    again = _settled(found.logs, found.labels, *fixed, changes=changes)
-    again = _thinned(again, regions, lamps, tolerance, count, changes=changes)
-    return min(found, again, key=lambda each: each.length)
-
-
 def _thinned(
     found: _Found, regions: Regions, lamps: Lamps, tolerance: float, count: int | None,
-    least: float = np.inf, changes: FloatArray | None = None,
+    least: float = np.inf,
 ) -> _Found:  # fmt: skip
     """Leave out materials one after the other, and return the shortest description on the way.
 
@@ -307,7 +279,7 @@ def _thinned(
         if count is None and unexplained >= min(least, np.inf if best is None else best.length):
             break
         fewer = [
-            _settled(logs, labels, regions, lamps, tolerance, 1, found.spread, None, changes, found.uneven)
+            _settled(logs, labels, regions, lamps, tolerance, 1, found.spread)
             for logs, labels in (_without_one(found, regions), _merged(found))
         ]
         found = min(fewer, key=lambda each: each.length)
@@ -428,34 +400,21 @@ def _settled(
     rounds: int,
     spread: Spread | None,
     of_rig: Mask | None = None,
-    changes: FloatArray | None = None,
-    uneven: FloatArray | None = None,
 ) -> _Found:
     """Alternate between labels and reflectances, all of which are fitted together.
 
     of_rig: (m,), materials of the hue of the rig's, which are only brighter or darker; None for none.
-    changes: (n, CHANGES, 3), of light, which are fitted as well; None for even light. uneven: their numbers
-    to begin with.
     """
     of_rig = np.zeros(len(logs), np.bool_) if of_rig is None else of_rig
     free = _free_numbers(of_rig)
     logs = np.where(of_rig[:, None], logs.mean(axis=1, keepdims=True), logs)
     size, weights = 3 * len(logs), regions.sizes / INDEPENDENT_PX
     numbers = _numbers(regions) * (len(logs) - 2.0 / 3.0 * np.count_nonzero(of_rig))
-    if changes is None:
-        changes = np.zeros((regions.count, 0, 3))
-    else:
-        free = block_diag(free, np.eye(CHANGES))
-        numbers += CHANGES / 3.0 * (_numbers(regions) - _FEW)
-    if uneven is None:
-        uneven = np.zeros(changes.shape[1])
-    change = np.einsum("npk,p->nk", changes, uneven)
-    damping = np.diag(np.repeat([WEAK_PRIOR, UNEVEN**-2], [size, len(uneven)]))
-    matrix = np.zeros_like(damping)
+    damping, matrix = WEAK_PRIOR * np.eye(size), np.zeros((size, size))
     is_given = spread is not None
     spread = spread or Spread(_FIRST_TOLERANCE, _FIRST_TOLERANCE)
     for _ in range(rounds):
-        lengths = lengths_of(levelled(regions, change), logs, lamps)
+        lengths = lengths_of(regions, logs, lamps)
         costs = prices_of_regions(lengths, spread)
         labels = _cheapest(costs, logs, regions, labels)
         if not is_given:
@@ -464,26 +423,22 @@ def _settled(
         for i in range(_FIT_ROUNDS):
             reach = _ROUGH * 0.5**i  # at first nothing is an outlier that two merged materials hold
             own_matrices, own_gradients = normal_equations(
-                regions, logs[labels] + change, lamps, weights, tolerance, reach
+                regions, logs[labels], lamps, weights, tolerance, reach
             )
-            matrix[:], gradient = 0.0, np.zeros(len(matrix))
-            gather_lengths(labels, changes, own_matrices, own_gradients, matrix, gradient)
-            gradient[size:] -= uneven / UNEVEN**2
+            matrix[:], gradient = 0.0, np.zeros(size)
+            gather_lengths(labels, own_matrices, own_gradients, matrix, gradient)
             _add_steps(
                 labels, paid, logs, regions.starts, regions.neighbours, regions.steps, regions.contacts,
                 matrix, gradient,
             )  # fmt: skip
             bounded = free.T @ (matrix + damping) @ free
             step = (free @ np.linalg.solve(bounded, free.T @ gradient)).clip(-_LARGEST_STEP, _LARGEST_STEP)
-            logs, uneven = logs + step[:size].reshape(-1, 3), uneven + step[size:]
-            change = np.einsum("npk,p->nk", changes, uneven)
-    costs = prices_of_regions(lengths_of(levelled(regions, change), logs, lamps), spread)
+            logs = logs + step.reshape(-1, 3)
+    costs = prices_of_regions(lengths_of(regions, logs, lamps), spread)
     labels = _cheapest(costs, logs, regions, labels)
     length = total_cost(costs, labels, logs, regions, _SEAM_PRICE) + numbers
     return _Found(
-        logs=logs, labels=labels, costs=costs, length=length + 0.5 * float(uneven @ uneven) / UNEVEN**2,
-        normal_matrix=matrix[:size, :size], spread=spread, change=change,
-        uneven=uneven,
+        logs=logs, labels=labels, costs=costs, length=length, normal_matrix=matrix, spread=spread
     )  # fmt: skip
 
 

@@ -15,7 +15,6 @@ from vntoolkit.io.footage.mattes import Mattes
 from vntoolkit.io.results.manifest import MaterialEntry
 from vntoolkit.materials.labelling import MaterialLabeller
 from vntoolkit.materials.pixels import MaterialLabels
-from vntoolkit.materials.regions import UNEVEN
 from vntoolkit.materials.relighting import relit
 from vntoolkit.materials.search import (
     WORST_ERROR_DEG,
@@ -37,6 +36,7 @@ from vntoolkit.pipeline.options import MaterialSearch
 logger = logging.getLogger(__name__)
 _LOOKED_AT = 3  # frames …
 _APART = 8  # … this far from each other, where there are as many: the subject then shows other normals
+_UNEVEN = 0.1  # of log light over a subject that stands a few of its sizes from the lamps
 _SAME_DEG = 1.5  # mean turn of normals below which a material is the rig's own
 # Turn of normals, over the scatter of their lengths from region to region as an angle, that gloss may have
 # made: photographs of one material have 0.8 to 1.4, other colours on cloth 2 and more, on skin 6.
@@ -315,7 +315,7 @@ def _are_alike(
     """True where the materials may be one: gloss and uneven light alone make it look as different."""
     values, turned = one.reflectance.values, 0.0
     for each in found:
-        if abs(np.log(each.reflectance.values / values).mean()) > UNEVEN:
+        if abs(np.log(each.reflectance.values / values).mean()) > _UNEVEN:
             return False
         turn_deg, bent_deg = _turn_deg(each.reflectance.values, one, frame, mask, response)
         turned += each.share * turn_deg
