@@ -82,11 +82,10 @@ class Material:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SearchedFrames:
-    """Frames in blocks, below each other, and their regions. count: how many frames."""
+    """Frames in blocks, below each other, and their regions."""
 
     split: SplitFrame
     regions: Regions
-    count: int
 
 
 def searched_frames(
@@ -113,7 +112,7 @@ def searched_frames(
             "materials: hardly any pixel is reached by all three lamps and not clipped; look at exposure, "
             "mask and rig"
         )
-    return SearchedFrames(split=split, regions=regions, count=len(frames))
+    return SearchedFrames(split=split, regions=regions)
 
 
 def find_materials(searched: SearchedFrames, count: int | None = None) -> list[Material]:
@@ -131,16 +130,6 @@ def find_materials(searched: SearchedFrames, count: int | None = None) -> list[M
     found, of_rig = _in_rigs_hue(found, regions, lamps, tolerance)
     materials = _fitted_each(found, of_rig, searched, tolerance)
     return sorted(materials, key=lambda material: -material.share)
-
-
-def fitted_again(searched: SearchedFrames, known: Points) -> list[Material]:
-    """Fit materials of reflectances (m, 3) that were found before again, in even light, in their order."""
-    regions, lamps = searched.regions, searched.split.lamps
-    _, tolerance = _reflectances_of_regions(regions, lamps)
-    found = _settled(np.log(known), None, regions, lamps, tolerance, _FIRST_ROUNDS, None)
-    found = _settled(found.logs, found.labels, regions, lamps, tolerance, 1, found.spread)
-    found, of_rig = _in_rigs_hue(found, regions, lamps, tolerance)
-    return _fitted_each(found, of_rig, searched, tolerance)
 
 
 def _fitted_each(found: _Found, of_rig: Mask, searched: SearchedFrames, tolerance: float) -> list[Material]:
