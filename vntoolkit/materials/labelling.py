@@ -31,7 +31,7 @@ from vntoolkit.materials.pixels import (
 from vntoolkit.materials.reflectance import CAP
 from vntoolkit.materials.region_lengths import Lengths, lengths_of
 from vntoolkit.materials.regions import SHADING_STEP, Regions, regions_of
-from vntoolkit.materials.relighting import box_of, red_beside_seams, relit
+from vntoolkit.materials.relighting import box_of, relit
 from vntoolkit.materials.split_frame import CELL, SplitFrame, block_size, blocks_moved, cells_of, split_frame
 from vntoolkit.native import njit
 from vntoolkit.photometry.frame import LinearFrame
@@ -108,9 +108,8 @@ class MaterialLabeller:
         self._coarse: PixelLabeller | None = None
         self._beside_seams: BlurredLabels | None = None
         self._fine: BlurredLabels | None = None
-        self._red: tuple[int, int] | None = None
         self._like: SplitFrame | None = None  # of its blocks and noise are all frames
-        self._kept: tuple[Any, ...] = (None,) * 5
+        self._kept: tuple[Any, ...] = (None,) * 4
         self._reference: _Decided | None = None
         self._found: MaterialLabels = np.empty((0, 0), np.uint8)
         self.turned_deg: npt.NDArray[np.float32] | None = None  # by paint that was taken out last
@@ -127,7 +126,7 @@ class MaterialLabeller:
         The frame itself, where a sequence starts with it, has the labels that it has now.
         """
         if self._fine is not None:
-            self._kept = self._like, self._coarse, self._beside_seams, self._fine, self._red
+            self._kept = self._like, self._coarse, self._beside_seams, self._fine
         if self._before is not None and self._split is not None:
             self._reference = _Decided(
                 self._split, self._before.copy(), self._found.copy(), self._doubtful, self._mean_price
@@ -139,7 +138,7 @@ class MaterialLabeller:
         What the first frame told this one of noise, blur and lengths holds for it, too, as do its labels.
         """
         other = MaterialLabeller(self._response, reflectances)
-        other._like, other._red, other._reference = self._like, self._red, self._reference
+        other._like, other._reference = self._like, self._reference
         other._coarse = self._coarse and self._coarse.with_logs(other._logs)
         other._beside_seams = self._beside_seams and self._beside_seams.with_logs(other._logs)
         other._fine = self._fine and self._fine.with_logs(other._logs)
@@ -149,14 +148,14 @@ class MaterialLabeller:
     def forget(self) -> None:
         """Drop the labels of the frame before, so that a sequence may start anywhere."""
         self._before = self._split = self._box = self._cells = self._decided = self._surface = None
-        self._like, self._coarse, self._beside_seams, self._fine, self._red = self._kept
+        self._like, self._coarse, self._beside_seams, self._fine = self._kept
 
     def labels(self, frame: LinearFrame, mask: Mask) -> MaterialLabels:
         """Return (h, w), numbers of the materials; 0 outside the mask. mask: (h, w)."""
         if len(self._logs) == 1 or not mask.any():
             return np.zeros(mask.shape, np.uint8)
         if self._split is None and self._like is not None and self._like.factor != block_size(mask):
-            self._like = self._coarse = self._beside_seams = self._fine = self._red = None
+            self._like = self._coarse = self._beside_seams = self._fine = None
         labels = np.zeros(mask.shape, np.uint8)
         box = self._boxed(mask)
         inside = np.ascontiguousarray(mask[box])
@@ -164,7 +163,6 @@ class MaterialLabeller:
             part = LinearFrame(rgb=frame.rgb[box], clipped=frame.clipped[box])
         else:
             part = self._leveller.part_by_strength(frame, box)
-        is_first = self._like is None
         split = split_frame(part, self._response, inside, like=self._like)
         cells = cells_of(split.colours)
         moved, since = (
@@ -180,9 +178,6 @@ class MaterialLabeller:
             self._doubtful, self._mean_price = known.doubtful, known.mean_price
             return known.of_pixels.copy()
         labels[box] = self._labels(part, inside, split, moved)
-        if is_first:
-            seen = frame, self._response, labels, self._reflectances
-            self._red = None if self.seams is None else red_beside_seams(*seen, self.seams, mask)
         self._found = labels
         return labels
 
@@ -231,13 +226,12 @@ class MaterialLabeller:
             around = (slice(0, len(mask)), slice(0, mask.shape[1])) if box is None else self._boxed(mask)
             paint = self._pigments, self._camera, self._plain, around, self._surface
             frame, self.turned_deg, self._surface = without_paint(*seen, *paint)
-            seams = seams and seams._replace(red=None)  # what is left is not what was measured
         return relit(frame, self._response, labels, self._reflectances, seams=seams, mask=mask, box=box)
 
     @property
     def seams(self) -> Seams | None:
         """How pixels beside seams are mixtures; None before a frame is labelled, and for one material."""
-        return None if self._fine is None else self._fine.seams._replace(red=self._red)
+        return None if self._fine is None else self._fine.seams
 
     def left_at_seams(self, frame: LinearFrame, mask: Mask, labels: MaterialLabels) -> float:
         """Return the share of the steps of normals at seams that remains, against one material all over.
