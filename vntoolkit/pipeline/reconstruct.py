@@ -36,10 +36,8 @@ from vntoolkit.pipeline.cluster import require_scheduler, run_blocks_on_cluster
 from vntoolkit.pipeline.found_lamps import with_found_lamps
 from vntoolkit.pipeline.frame_processor import FrameProcessor
 from vntoolkit.pipeline.measured_materials import (
-    FirstFrames,
     MeasuredMaterials,
     measured_materials,
-    refitted_materials,
     seeks_materials,
 )
 from vntoolkit.pipeline.options import SENSOR_PREFIX, option_values
@@ -176,17 +174,12 @@ def _prepared(
     if earlier is None and job.surface is not None:  # the materials are those of the reconstruction refined
         earlier = manifests.read_manifest(job.surface.result)
     job = _with_lamps(job, capture, mattes, numbers, earlier)
-    first_frames = FirstFrames(capture, mattes, numbers)
-    job, measured = resolve_options(job, capture, mattes, numbers, earlier, first_frames)
+    job, measured = resolve_options(job, capture, mattes, numbers, earlier)
     if seeks_materials(job) and job.surface is None:
         labeller = None if measured.seen is None else measured.seen.labeller
         examined = _require_plausible(job, capture, mattes, numbers, labeller)
     job = _with_blur(_with_near_lamps(job, examined, earlier), examined, earlier)
-    materials = measured.entries
-    if earlier is None and measured.seen is not None and job.rig.response.variation is not None:
-        materials = refitted_materials(job, first_frames, measured.seen)
-        job = _of_materials(job, materials)
-    manifest = manifest_of_run(job, capture, mattes, frames, materials, examined.findings)
+    manifest = manifest_of_run(job, capture, mattes, frames, measured.entries, examined.findings)
     if resumes:
         manifests.require_resumable(root, manifest)
     if overwrite:
@@ -381,7 +374,6 @@ def resolve_options(
     mattes: Mattes,
     numbers: range,
     earlier: manifests.Manifest | None,
-    first_frames: FirstFrames,
 ) -> tuple[ReconstructionJob, MeasuredMaterials]:
     """Return the job with the options that depend on rig and footage resolved, and the materials.
 
@@ -413,7 +405,7 @@ def resolve_options(
         albedo = albedo if isinstance(albedo, float) else None
         measured = MeasuredMaterials(entries=list(earlier.materials), relative_albedo=albedo)
     else:
-        measured = measured_materials(job, first_frames)
+        measured = measured_materials(job, capture, mattes, numbers)
     if measured.relative_albedo is not None:
         inversion = replace(options.inversion, relative_albedo=measured.relative_albedo)
         job = replace(job, options=replace(job.options, inversion=inversion))
