@@ -11,8 +11,8 @@ from vntoolkit.errors import BadCapture
 from vntoolkit.geometry.maps import DepthMap
 from vntoolkit.io.maps_and_meshes.arrays import map_npy
 from vntoolkit.io.results.sequences import read_mesh_sequence
+from vntoolkit.materials.mixtures import MaterialLabels
 from vntoolkit.materials.paint import without_paint
-from vntoolkit.materials.pixels import MaterialLabels
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.pipeline.texture import AGREES_PX, texels_of
@@ -105,8 +105,7 @@ class PaintedSurface:
     def _corrected(self, frame: LinearFrame, labels: MaterialLabels, mask: Mask) -> LinearFrame:
         """Return a frame without the paint that the surface's reflectances leave, as one frame tells it."""
         seen = frame, labels, mask, self._response, np.ones_like(self._lines), self._lines
-        every = slice(0, len(mask)), slice(0, mask.shape[1])
-        frame, self.turned_deg, _ = without_paint(*seen, self._source.camera, np.empty_like(frame.rgb), every)
+        frame, self.turned_deg, _ = without_paint(*seen, self._source.camera)
         return frame
 
     def reflectance(self, number: int) -> tuple[FloatArray, FloatArray]:

@@ -23,8 +23,8 @@ from vntoolkit.io.footage.sequence import text_of_names
 from vntoolkit.io.results import manifest as manifests
 from vntoolkit.io.results.frame_log import FRAMES_NAME, FrameEntry, FrameLog
 from vntoolkit.io.rigs import entry_from_rig
-from vntoolkit.materials.labelling import MaterialLabeller
-from vntoolkit.materials.pixels import near_seams
+from vntoolkit.materials.labelling import LabelState, MaterialLabeller
+from vntoolkit.materials.mixtures import near_seams
 from vntoolkit.materials.relighting import relit
 from vntoolkit.options.footage import Gaps, MatteOptions, SensorOptions
 from vntoolkit.options.normals import ShadowMethod
@@ -38,6 +38,7 @@ from vntoolkit.pipeline.frame_processor import FrameProcessor
 from vntoolkit.pipeline.measured_materials import (
     MeasuredMaterials,
     measured_materials,
+    refitted_materials,
     seeks_materials,
 )
 from vntoolkit.pipeline.options import SENSOR_PREFIX, option_values
@@ -176,10 +177,14 @@ def _prepared(
     job = _with_lamps(job, capture, mattes, numbers, earlier)
     job, measured = resolve_options(job, capture, mattes, numbers, earlier)
     if seeks_materials(job) and job.surface is None:
-        labeller = None if measured.seen is None else measured.seen.labeller
-        examined = _require_plausible(job, capture, mattes, numbers, labeller)
+        state = LabelState() if measured.seen is None else measured.seen.state
+        examined = _require_plausible(job, capture, mattes, numbers, state)
     job = _with_blur(_with_near_lamps(job, examined, earlier), examined, earlier)
-    manifest = manifest_of_run(job, capture, mattes, frames, measured.entries, examined.findings)
+    materials = measured.entries
+    if earlier is None and measured.seen is not None and job.rig.response.variation is not None:
+        materials = refitted_materials(job, capture, mattes, numbers, measured.seen)
+        job = _of_materials(job, materials)
+    manifest = manifest_of_run(job, capture, mattes, frames, materials, examined.findings)
     if resumes:
         manifests.require_resumable(root, manifest)
     if overwrite:
@@ -263,16 +268,16 @@ def _run(
 
 def _require_plausible(
     job: ReconstructionJob, capture: Capture, mattes: Mattes, numbers: range,
-    labeller: MaterialLabeller | None = None,
+    state: LabelState | None = None,
 ) -> Examination:  # fmt: skip
     """Log and return what the footage tells of mistakes; raise `FatalFinding` for one that ruins normals.
 
-    labeller: of the job's materials as they were measured; None where an earlier run measured them.
+    state: what the first frame told of its materials; None where an earlier run measured them.
     """
     rig = job.rig if job.calibrated is None else replace(job.rig, transfer=job.calibrated)
     try:
         mask, numbers = mattes.judged(capture, numbers)
-        examined = examine_capture(capture, rig, mask, numbers, _in_one_material(job, mask, labeller))
+        examined = examine_capture(capture, rig, mask, numbers, _in_one_material(job, mask, state))
     except BadCapture as problem:  # a bad frame is reported when its turn comes
         logger.debug("plausibility not checked: %s", problem)
         return Examination(findings=[])
@@ -307,23 +312,20 @@ def _with_blur(
 
 
 def _in_one_material(
-    job: ReconstructionJob, mask: Mask | None, labeller: MaterialLabeller | None = None
+    job: ReconstructionJob, mask: Mask | None, state: LabelState | None = None
 ) -> Callable[[LinearFrame], LinearFrame] | None:
     """Return what makes a frame look as if its subject were of the rig's material; None where it is."""
     if not job.reflectances:
         return None
     central, known = job.rig.response.central, (np.array(job.reflectances), np.array(job.pigments))
-    labeller = (
-        MaterialLabeller(central, known[0]) if labeller is None else labeller.with_reflectances(known[0])
-    )
+    labeller = MaterialLabeller(response=central, reflectances=known[0])
+    told = LabelState(statistics=None if state is None else state.statistics)
     processor = FrameProcessor(job.rig, job.options, mask)
 
     def judged(frame: LinearFrame) -> LinearFrame:
         # A backdrop's noise looks like dark paint. It would give the subject's rim a wrong label.
         subject = processor.lit_subject(frame)
-        labeller.forget()
-        labels = labeller.labels(processor.by_strength(frame), subject)
-        labeller.keep()
+        labels, _ = labeller.labels(processor.by_strength(frame), subject, told)
         # lengths alone tell paint here: a surface without paint would fit any M; none is thought to be 1
         seen = relit(frame, central, labels, *known, mask=subject)
         return replace(seen, clipped=seen.clipped | near_seams(labels, _SEAM_PX))
