@@ -70,10 +70,10 @@ DOORS = {
 
 # Room -> most lines of all its files; "(root)" holds the files beside the rooms.
 LINES = {
-    "pipeline": 7900, "io": 7700, "calibration": 5900, "materials": 5500, "tracking": 4700,
-    "simulation": 4500, "diagnosis": 3700, "shadows": 3300, "cli": 3300, "report": 3200, "skinning": 2300,
+    "pipeline": 7900, "io": 7900, "calibration": 5900, "materials": 5500, "tracking": 4700,
+    "simulation": 4500, "diagnosis": 3700, "shadows": 3300, "cli": 3400, "report": 3200, "skinning": 2300,
     "integration": 2200,
-    "normals": 1900, "geometry": 1700, "(root)": 1700, "options": 1500, "evaluation": 1400,
+    "normals": 1900, "geometry": 1700, "(root)": 1800, "options": 1700, "evaluation": 1400,
     "photometry": 1100, "live": 900, "meshing": 300,
 }  # fmt: skip
 
