@@ -23,7 +23,6 @@ Public names are imported on first use, so that `import vntoolkit` is fast.
 from __future__ import annotations
 
 import importlib
-import os
 
 TYPE_CHECKING = False  # importing typing takes time, and a Ctrl-C before `main` leaves a traceback
 if TYPE_CHECKING:  # what editors and type checkers know; a test holds it to the names below
@@ -88,18 +87,6 @@ if TYPE_CHECKING:  # what editors and type checkers know; a test holds it to the
     from vntoolkit.tracking.tracker import SurfaceTracker as SurfaceTracker
 
 __version__ = "0.1.0"
-
-# Thread pools that spin while they wait take the cores from the pool that works: a frame then takes 17 to
-# 22 ms instead of 7. numba would try TBB first and warn of an old one. What the user has set stays; a library
-# that is imported before this package keeps its own ways.
-for _name, _value in {
-    "OPENBLAS_NUM_THREADS": "1",
-    "OMP_WAIT_POLICY": "PASSIVE",
-    "GOMP_SPINCOUNT": "0",
-    "KMP_BLOCKTIME": "0",
-    "NUMBA_THREADING_LAYER_PRIORITY": "omp tbb workqueue",
-}.items():
-    os.environ.setdefault(_name, _value)
 
 # In pipeline order: public name -> module that holds it.
 _PUBLIC = {
