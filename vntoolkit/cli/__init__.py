@@ -12,6 +12,7 @@ from cyclopts import App, Parameter
 
 from vntoolkit import __version__
 from vntoolkit.cli.flags import require_finite, require_new_outputs
+from vntoolkit.threads import thread_policy
 
 # verb -> the line that `vntoolkit --help` shows
 VERBS: dict[str, str] = {
@@ -131,7 +132,8 @@ def run_verb(arguments: Sequence[str]) -> Any:
     app = build_app(arguments)
     verb, bound, _ = app.parse_args(arguments, exit_on_error=False, print_error=False)
     require_new_outputs(bound)
-    return verb(*bound.args, **bound.kwargs)
+    with thread_policy():
+        return verb(*bound.args, **bound.kwargs)
 
 
 def _shown_default(value: Any) -> str | None:

@@ -14,7 +14,18 @@ import textwrap
 from collections.abc import Callable, Mapping
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any, ParamSpec, TypeAlias, TypeVar, get_args, get_type_hints
+from typing import (
+    Annotated,
+    Any,
+    Literal,
+    ParamSpec,
+    TypeAlias,
+    TypeVar,
+    Union,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 from cyclopts import Parameter
 
@@ -147,7 +158,7 @@ class Flags:
                 negative_iterable=(),  # --exclude A B, and no --empty-exclude
                 validator=None if within else require_finite,
             )
-            kind = self.spread(kind) if within else kind
+            kind = self.spread(kind) if within else _without_names(kind)
             if field.default_factory is dataclasses.MISSING:
                 default = dataclasses.field(default=field.default)
             else:  # that of options within is their class, which must be the spread one
@@ -164,6 +175,13 @@ class Flags:
         )
         spread.__module__ = options.__module__  # cyclopts takes a class of the standard library for one value
         return spread
+
+
+def _without_names(kind: Any) -> Any:
+    """Return the type of a flag: an enum without the names that stand for its members in Python."""
+    members = get_args(kind) if get_origin(kind) is Union else ()
+    kept = tuple(member for member in members if get_origin(member) is not Literal)
+    return Union[kept] if kept else kind  # noqa: UP007
 
 
 Sensor: TypeAlias = Annotated[SensorOptions | None, Flags()]
