@@ -47,6 +47,7 @@ def line_of(command, place, capsys, monkeypatch):
         ),
         ("reconstruct frame.png", "--rig is missing (the rig.json that `vntoolkit calibrate` wrote)"),
         ("reconstruct frame.png --rig rig.json", "--out is missing (the folder to write)"),
+        ("track empty --refine-albedo", "--refine-albedo: was removed, since it left normals as they were"),
         ("reconstruct frame.png --rig rig.json --ot out", "unknown option --ot, perhaps for --out"),
         ("reconstruct frame.png -r rig.json -o out", "unknown option -r, perhaps for --rig"),
         (
