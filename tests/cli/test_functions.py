@@ -71,8 +71,8 @@ def test_values_of_another_kind_are_refused_before_anything_is_read() -> None:
 
 def test_a_removed_flag_says_what_to_do_instead(studio, capsys) -> None:
     assert main(["track", "out", "--refine-albedo"]) == 1
-    assert "--refine-albedo was removed" in capsys.readouterr().err
-    with pytest.raises(BadInput, match="--field-width is --field-width-m now"):
+    assert "--refine-albedo: was removed" in capsys.readouterr().err
+    with pytest.raises(BadInput, match="--field-width: is --field-width-m now"):
         vt.simulate("sphere", out="film", field_width=1.0)
 
 

@@ -19,4 +19,4 @@ def require_no_removed(*words: str) -> None:
             return
         flag = word.partition("=")[0]
         if flag in REMOVED:
-            raise BadInput(f"{flag} {REMOVED[flag]}")
+            raise BadInput(f"{flag}: {REMOVED[flag]}")
