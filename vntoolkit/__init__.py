@@ -27,16 +27,33 @@ import importlib
 TYPE_CHECKING = False  # importing typing takes time, and a Ctrl-C before `main` leaves a traceback
 if TYPE_CHECKING:  # what editors and type checkers know; a test holds it to the names below
     from vntoolkit.calibration.fit import fit_response as fit_response
-    from vntoolkit.cli.functions import calibrate_board as calibrate_board
-    from vntoolkit.cli.functions import calibrate_head as calibrate_head
-    from vntoolkit.cli.functions import calibrate_lights as calibrate_lights
-    from vntoolkit.cli.functions import calibrate_presses as calibrate_presses
-    from vntoolkit.cli.functions import calibrate_sphere as calibrate_sphere
-    from vntoolkit.cli.functions import dress as dress
-    from vntoolkit.cli.functions import export as export
-    from vntoolkit.cli.functions import reconstruct as reconstruct
-    from vntoolkit.cli.functions import simulate as simulate
-    from vntoolkit.cli.functions import track as track
+    from vntoolkit.cli.board import write_board as write_board
+    from vntoolkit.cli.calibrate import calibrate_board as calibrate_board
+    from vntoolkit.cli.calibrate import calibrate_head as calibrate_head
+    from vntoolkit.cli.calibrate import calibrate_lights as calibrate_lights
+    from vntoolkit.cli.calibrate import calibrate_presses as calibrate_presses
+    from vntoolkit.cli.calibrate import calibrate_sphere as calibrate_sphere
+    from vntoolkit.cli.calibrate import rectify as rectify
+    from vntoolkit.cli.circles import find_circles as find_circles
+    from vntoolkit.cli.demo import demo as demo
+    from vntoolkit.cli.doctor import inspect_footage as inspect_footage
+    from vntoolkit.cli.dress import dress as dress
+    from vntoolkit.cli.evaluate import evaluate_cylinder as evaluate_cylinder
+    from vntoolkit.cli.evaluate import evaluate_integration as evaluate_integration
+    from vntoolkit.cli.evaluate import evaluate_mesh as evaluate_mesh
+    from vntoolkit.cli.evaluate import evaluate_normal_files as evaluate_normal_files
+    from vntoolkit.cli.evaluate import evaluate_tracks as evaluate_tracks
+    from vntoolkit.cli.export import export as export
+    from vntoolkit.cli.live import watch as watch
+    from vntoolkit.cli.recipe import run_recipe as run_recipe
+    from vntoolkit.cli.reconstruct import reconstruct as reconstruct
+    from vntoolkit.cli.report import write_report as write_report
+    from vntoolkit.cli.schema import copy_data as copy_data
+    from vntoolkit.cli.schema import json_schema as json_schema
+    from vntoolkit.cli.session import session as session
+    from vntoolkit.cli.simulate import simulate as simulate
+    from vntoolkit.cli.track import track as track
+    from vntoolkit.cli.view import view as view
     from vntoolkit.errors import BadInput as BadInput
     from vntoolkit.errors import VntError as VntError
     from vntoolkit.geometry.camera import Camera as Camera
@@ -142,16 +159,33 @@ _PUBLIC = {
     "VntError": "vntoolkit.errors",
     "BadInput": "vntoolkit.errors",
     # the verbs of the command line
-    "simulate": "vntoolkit.cli.functions",
-    "calibrate_sphere": "vntoolkit.cli.functions",
-    "calibrate_board": "vntoolkit.cli.functions",
-    "calibrate_head": "vntoolkit.cli.functions",
-    "calibrate_lights": "vntoolkit.cli.functions",
-    "calibrate_presses": "vntoolkit.cli.functions",
-    "reconstruct": "vntoolkit.cli.functions",
-    "track": "vntoolkit.cli.functions",
-    "dress": "vntoolkit.cli.functions",
-    "export": "vntoolkit.cli.functions",
+    "demo": "vntoolkit.cli.demo",
+    "write_board": "vntoolkit.cli.board",
+    "simulate": "vntoolkit.cli.simulate",
+    "inspect_footage": "vntoolkit.cli.doctor",
+    "calibrate_sphere": "vntoolkit.cli.calibrate",
+    "calibrate_board": "vntoolkit.cli.calibrate",
+    "calibrate_head": "vntoolkit.cli.calibrate",
+    "calibrate_lights": "vntoolkit.cli.calibrate",
+    "calibrate_presses": "vntoolkit.cli.calibrate",
+    "rectify": "vntoolkit.cli.calibrate",
+    "find_circles": "vntoolkit.cli.circles",
+    "reconstruct": "vntoolkit.cli.reconstruct",
+    "track": "vntoolkit.cli.track",
+    "session": "vntoolkit.cli.session",
+    "view": "vntoolkit.cli.view",
+    "watch": "vntoolkit.cli.live",
+    "export": "vntoolkit.cli.export",
+    "write_report": "vntoolkit.cli.report",
+    "dress": "vntoolkit.cli.dress",
+    "evaluate_normal_files": "vntoolkit.cli.evaluate",
+    "evaluate_mesh": "vntoolkit.cli.evaluate",
+    "evaluate_cylinder": "vntoolkit.cli.evaluate",
+    "evaluate_tracks": "vntoolkit.cli.evaluate",
+    "evaluate_integration": "vntoolkit.cli.evaluate",
+    "json_schema": "vntoolkit.cli.schema",
+    "copy_data": "vntoolkit.cli.schema",
+    "run_recipe": "vntoolkit.cli.recipe",
 }
 
 if not TYPE_CHECKING:  # else a type checker takes every name for a public one

@@ -116,6 +116,9 @@ class LightColours(Enum):
     CHANNELS = "channels"  # light k alone is seen by channel k: three photographs stacked as one
 
 
+LightColoursName: TypeAlias = Literal["given", "channels"]
+
+
 class LabelOffset(Enum):
     """Whether the circles are used as they are, or moved so that ball and flat gel agree."""
 

@@ -15,6 +15,9 @@ class MeasuredBy(Enum):
     PYMESHLAB = "pymeshlab"  # MeshLab's own search, to compare with
 
 
+MeasuredByName: TypeAlias = Literal["embree", "pymeshlab"]
+
+
 class Alignment(Enum):
     """Which motion aligns the meshes."""
 
@@ -30,7 +33,7 @@ AlignmentName: TypeAlias = Literal["none", "rigid", "similarity"]
 class AlignmentOptions(Options):
     """How meshes are aligned."""
 
-    free: Named[Alignment, AlignmentName] = named(Alignment.NONE)
+    align: Named[Alignment, AlignmentName] = named(Alignment.NONE)
     """What may move: nothing, position and orientation (rigid), or the scale too (similarity)."""
     samples: int = 20000
     """Vertices that are paired."""

@@ -39,6 +39,9 @@ class Gaps(Enum):
     SKIP = "skip"
 
 
+GapsName: TypeAlias = Literal["refuse", "skip"]
+
+
 class Bayer(Enum):
     """The colours of the top left 2×2 pixels, row by row; GenICam's BayerRG is rggb, and so on."""
 

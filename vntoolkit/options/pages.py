@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass
 from enum import Enum
+from typing import Literal, TypeAlias
 
 from vntoolkit.errors import BadInput
 from vntoolkit.options.base import Options
@@ -88,3 +89,6 @@ class PageSize(Enum):
     A2 = (420.0, 594.0)
     LETTER = (215.9, 279.4)
     TABLOID = (279.4, 431.8)
+
+
+PageSizeName: TypeAlias = Literal["a4", "a3", "a2", "letter", "tabloid"]

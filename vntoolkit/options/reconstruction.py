@@ -55,7 +55,7 @@ DepthOffsetName: TypeAlias = Literal["reference", "mean"]
 
 @dataclass(frozen=True, kw_only=True)
 class ReconstructOptions(Options):
-    """Options of `reconstruct`, beyond those of the stages.
+    """Options of `reconstruct`, with those of its stages.
 
     A rig fitted to presses on a gel turns materials and shadows off: it is the gel's own.
     """

@@ -43,7 +43,6 @@ from vntoolkit.pipeline.measured_materials import (
 )
 from vntoolkit.pipeline.options import SENSOR_PREFIX, option_values
 from vntoolkit.pipeline.outputs import FRAME_FILES
-from vntoolkit.pipeline.painted_surface import TrackedReflectance
 from vntoolkit.pipeline.processes import shared_out
 
 logger = logging.getLogger(__name__)
@@ -130,7 +129,7 @@ def reconstruct(
         logger.warning("%s: left out, since the frames are named otherwise: %s", job.source, names)
     missing = _missing_frames(capture, mattes, numbers)
     examined = Examination(findings=[])
-    if not seeks_materials(job) and job.surface is None:
+    if not seeks_materials(job):
         examined = _require_plausible(job, capture, mattes, numbers)
     with sole_writer(root):
         job, manifest, log = _prepared(job, capture, mattes, frames, overwrite, examined)
@@ -172,11 +171,9 @@ def _prepared(
     numbers = frames.numbers(capture.info.frame_count)
     resumes = manifests.has_manifest(root) and not overwrite
     earlier = manifests.read_manifest(root) if resumes else None
-    if earlier is None and job.surface is not None:  # the materials are those of the reconstruction refined
-        earlier = manifests.read_manifest(job.surface.result)
     job = _with_lamps(job, capture, mattes, numbers, earlier)
     job, measured = resolve_options(job, capture, mattes, numbers, earlier)
-    if seeks_materials(job) and job.surface is None:
+    if seeks_materials(job):
         state = LabelState() if measured.seen is None else measured.seen.state
         examined = _require_plausible(job, capture, mattes, numbers, state)
     job = _with_blur(_with_near_lamps(job, examined, earlier), examined, earlier)
@@ -457,20 +454,11 @@ def manifest_of_run(
         rig=entry_from_rig(job.rig),
         options=_options_that_shape(job),
         materials=materials,
-        surface=_entry_of_surface(job.surface),
         findings=[manifests.FindingEntry(check=f.check, level=f.level.value, text=f.text) for f in findings],
         frames=frames.to_text(),
         outputs=job.folders,
         versions=manifests.library_versions(),
         started=manifests.now_utc(),
-    )
-
-
-def _entry_of_surface(known: TrackedReflectance | None) -> manifests.SurfaceEntry | None:
-    if known is None:
-        return None
-    return manifests.SurfaceEntry(
-        frames=known.frames, seen=known.seen, lines=known.lines, spreads=known.spreads
     )
 
 
@@ -487,8 +475,6 @@ def _options_that_shape(job: ReconstructionJob) -> dict[str, Any]:
         values["lamps.nearness"] = job.nearness
     if job.blur_px:
         values["lens.blur_px"] = job.blur_px
-    if job.surface is not None:
-        values["surface.reflectance"] = job.surface.sha256
     return values
 
 
