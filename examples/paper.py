@@ -13,12 +13,12 @@ from vntoolkit.calibration.fit import ResponseFitOptions, ResponseModel
 from vntoolkit.geometry.mesh import graph_laplacian
 from vntoolkit.geometry.motion import pose_of_frame
 from vntoolkit.photometry.response import rgb_from_normals
+from vntoolkit.pipeline.dress import read_motion
 from vntoolkit.simulation.image_formation import light_colour, response_matrix
 from vntoolkit.simulation.nuisances import Nuisances
 from vntoolkit.simulation.render import render_frame
 from vntoolkit.simulation.scene import SceneOptions, build_scene
 from vntoolkit.skinning.blending import skinned_vertices
-from vntoolkit.skinning.gait import walking_motion
 from vntoolkit.skinning.weights import Falloff, WeightOptions, weights_from_distances
 from vntoolkit.tracking.flow import advected_positions, flow_between, targets_on_surface
 from vntoolkit.tracking.regularisers import LaplacianRegulariser
@@ -69,7 +69,7 @@ laplacian = graph_laplacian(template.edges, len(start))
 solver = LaplacianRegulariser(laplacian, template.edges, template.positions_px, beta=1e-3)
 registered = start + solver.solve(targets - start)
 show("7  [L; βI] X = [Q; βY]: error of the vertex, mean", 1000 * length(registered - goal), "mm")
-motion = walking_motion().in_metres(1.73)
+motion = read_motion("data/walk.bvh").in_metres(1.73)
 rest, posed = pose_of_frame(motion, 0), pose_of_frame(motion, 18)
 attached = start - start.mean(axis=0) + rest[:, :3, 3].mean(axis=0)
 inverse = WeightOptions(falloff=Falloff.INVERSE)

@@ -122,8 +122,6 @@ REFUSALS = [
     ("skinning.clock:ClockOptions", {"speed": 0.0}, "speed: expected a positive number, got 0"),
     ("skinning.clock:ClockOptions", {"start": -1.0}, "start: expected seconds from 0 on, got -1"),
     ("skinning.clock:ClockOptions", {"stop": float("nan")}, "stop: expected seconds from 0 on, got nan"),
-    ("skinning.gait:GaitOptions", {"strides": 0}, "gait: expected at least one stride"),
-    ("skinning.gait:GaitOptions", {"frame_rate_hz": INFINITE}, "one stride and a positive frame rate"),
     ("skinning.weights:WeightOptions", {"neighbours": 0}, "neighbours: expected at least 1, got 0"),
     ("skinning.weights:WeightOptions", {"distance_power": 0.0}, "distance power: expected a positive number"),
     ("tracking.checkerboard:CheckerboardOptions", {"square_px": 0}, "square of the checkerboard in pixels"),

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from recipes.walk_motion import walking_motion
 from tests.result_files import write_mesh_sequence
 from tests.usd_reading import read_usd_sequence
 from vntoolkit.__main__ import main
@@ -24,7 +25,6 @@ from vntoolkit.skinning.anatomy import anatomy_of, facing_of, shoulders_of
 from vntoolkit.skinning.blending import Blend
 from vntoolkit.skinning.clock import ClockOptions
 from vntoolkit.skinning.fitting import Garment, GarmentFitOptions
-from vntoolkit.skinning.gait import walking_motion
 
 WALK = Path(__file__).parents[2] / "data" / "walk.bvh"
 
@@ -97,7 +97,7 @@ def test_the_walk_that_the_package_ships_is_found_anywhere(tmp_path, monkeypatch
 def test_an_installed_package_holds_the_walk_in_itself(tmp_path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     write_bvh(Path("site/vntoolkit/data/walk.bvh"), walking_motion())
-    monkeypatch.setattr("vntoolkit.__file__", str(tmp_path / "site/vntoolkit/__init__.py"))
+    monkeypatch.setattr("vntoolkit.shipped._FOLDERS", (Path("site/data"), Path("site/vntoolkit/data")))
     assert len(read_motion("data/walk.bvh").root_positions) == len(walking_motion().root_positions)
 
 

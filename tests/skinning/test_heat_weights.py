@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from recipes.walk_motion import walking_motion
 from tests.result_files import write_mesh_sequence
 from tests.skinning.conftest import tube
 from vntoolkit.__main__ import main
@@ -23,7 +24,6 @@ from vntoolkit.skinning.attachment import covered_bones, weights_of_garment
 from vntoolkit.skinning.blending import Blend, skinned_vertices
 from vntoolkit.skinning.clock import ClockOptions, Loop
 from vntoolkit.skinning.fitting import ArmPose, GarmentFitOptions
-from vntoolkit.skinning.gait import walking_motion
 from vntoolkit.skinning.weights import Falloff, WeightOptions, weights_from_distances
 
 HEAT = WeightOptions()

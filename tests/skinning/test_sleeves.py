@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from recipes.walk_motion import walking_motion
 from tests.result_files import write_mesh_sequence
 from tests.skinning.test_heat_weights import of_arms, raised_arms, sheet_seen_from_the_front
 from vntoolkit.__main__ import main
@@ -19,7 +20,6 @@ from vntoolkit.pipeline.dress import DressedFigure, DressOptions, dress
 from vntoolkit.skinning.anatomy import anatomy_of, arms_of
 from vntoolkit.skinning.findings import DressingFindings
 from vntoolkit.skinning.fitting import Garment, GarmentFitOptions
-from vntoolkit.skinning.gait import walking_motion
 from vntoolkit.skinning.sleeves import regions_of_garment
 from vntoolkit.skinning.stretch import drawn_together
 

@@ -36,7 +36,7 @@ def data(name: str = "", /, *, out: Path | None = None) -> None:
         The file to write; default: the same name, here. A file that is there is kept.
     """
     from vntoolkit.io.atomic import write_bytes
-    from vntoolkit.pipeline.dress import shipped_files
+    from vntoolkit.shipped import shipped_files
 
     files = shipped_files()
     if not name:
