@@ -150,7 +150,7 @@ def _solve(seen: _Observation, start: Cylinder, camera: Camera, radius: float | 
         return Cylinder(axis=axis, centre=centre, radius=float(unknown[6]) if radius is None else radius)
 
     def residuals(unknown: FloatArray) -> FloatArray:
-        outline = outline_px(cylinder(unknown), unknown[4:6], camera)
+        outline = outline_px(cylinder(unknown), unknown[4:6], first, camera)
         return np.append(
             distances_px(seen.outline, outline) / _OUTLINE_PX, unknown[:2] / np.deg2rad(_COMMON_DEG)
         )
@@ -159,14 +159,17 @@ def _solve(seen: _Observation, start: Cylinder, camera: Camera, radius: float | 
     free = [start.radius] if radius is None else []
     begin = np.array([0.0, 0.0, start.centre @ first, start.centre @ second, *ends, *free])
     for loss in ("soft_l1", "cauchy"):  # the first leads there, the second passes over an end in the dark
-        begin = least_squares(residuals, begin, loss=loss, x_scale="jac", diff_step=1e-5, ftol=1e-5).x
+        begin = least_squares(residuals, begin, loss=loss, x_scale="jac").x
     return cylinder(begin)
 
 
-def outline_px(cylinder: Cylinder, ends: FloatArray, camera: Camera) -> Points2:
-    """Return the outline (k, 2) in the image of a cylinder whose ends lie at two places along its axis."""
+def outline_px(cylinder: Cylinder, ends: FloatArray, near: Vector3, camera: Camera) -> Points2:
+    """Return the outline (k, 2) in the image of a cylinder whose ends lie at two places along its axis.
+
+    near: about across the axis, where the rims begin: they must not jump when the axis turns a little.
+    """
     turn = np.linspace(0, 2 * np.pi, _RIM_POINTS, endpoint=False)[:, None]
-    first, second = across_axis(cylinder.axis, least_aligned(cylinder.axis))
+    first, second = across_axis(cylinder.axis, near)
     rim = cylinder.centre + cylinder.radius * (np.cos(turn) * first + np.sin(turn) * second)
     rims = camera.project(np.concatenate([rim + end * cylinder.axis for end in ends]))
     return rims[ConvexHull(rims).vertices]
