@@ -123,7 +123,6 @@ REFUSALS = [
     ("skinning.clock:ClockOptions", {"start": -1.0}, "start: expected seconds from 0 on, got -1"),
     ("skinning.clock:ClockOptions", {"stop": float("nan")}, "stop: expected seconds from 0 on, got nan"),
     ("skinning.weights:WeightOptions", {"neighbours": 0}, "neighbours: expected at least 1, got 0"),
-    ("skinning.weights:WeightOptions", {"distance_power": 0.0}, "distance power: expected a positive number"),
     ("tracking.checkerboard:CheckerboardOptions", {"square_px": 0}, "square of the checkerboard in pixels"),
     ("tracking.options:TrackingOptions", {"data_share": 0.0}, "data share α: expected a value"),
     ("tracking.options:TrackingOptions", {"smoothing_length": INFINITE}, "smoothing length in edges"),

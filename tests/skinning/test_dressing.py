@@ -249,22 +249,8 @@ def test_command_line_writes_every_format(tmp_path: Path, moving_jumper: MeshSeq
     fit.write_text('{"version": 1, "scale": 1.05}')
     common = ["dress", str(tmp_path / "capture"), "--motion", str(WALK)]
     out = tmp_path / "out"
-    assert (
-        main(
-            [
-                *common,
-                "--out",
-                str(out / "a.usdc"),
-                "--fit",
-                str(fit),
-                "--falloff",
-                "continuous",
-                "--carrier",
-                "cache",
-            ]
-        )
-        == 0
-    )
+    by_distance = ["--fit", str(fit), "--falloff", "inverse", "--carrier", "cache"]
+    assert main([*common, "--out", str(out / "a.usdc"), *by_distance]) == 0
     assert "30 frames of 2304 vertices" in capsys.readouterr().out
     assert main([*common, "--out", str(out / "a.glb"), "--stop", "0.1", "--blend", "dual-quaternion"]) == 0
     assert main([*common, "--out", str(out / "a_%03d.ply"), "--stop", "0.05", "--loop", "ping-pong"]) == 0
@@ -291,6 +277,9 @@ def test_command_line_writes_every_format(tmp_path: Path, moving_jumper: MeshSeq
         (["--motion", str(WALK), "--out", "a.ply"], "one place for the frame number"),
         (["--motion", str(WALK), "--out", "a.usdc", "--start", "100"], "nothing lies between"),
         (["--motion", str(WALK), "--out", "a.usdc", "--fullness", "-1"], "fullness: expected a positive"),
+        (["--motion", str(WALK), "--out", "a.usdc", "--distance-power", "2"], "take --falloff heat"),
+        (["--motion", str(WALK), "--out", "a.usdc", "--falloff", "continuous"], '"heat", "inverse"'),
+        (["--motion", str(WALK), "--out", "a.usdc", "--garment", "jacket"], '"sweater", "sleeveless"'),
     ],
 )
 def test_command_line_refuses_in_one_line(

@@ -255,8 +255,6 @@ def test_normals_decide_which_side_is_within(jumper: Mesh) -> None:
 def test_refusals() -> None:
     with pytest.raises(BadInput, match="max stretch: expected a factor above 1"):
         DressOptions(max_stretch=1.0)
-    with pytest.raises(BadInput, match="weights by heat have none"):
-        WeightOptions(distance_power=2.0)
     skeleton = walking_motion().skeleton
     with pytest.raises(BadInput, match="use `weights_of_garment`"):
         weights_from_distances(np.zeros((1, 3)), skeleton, rest_pose(skeleton), HEAT)

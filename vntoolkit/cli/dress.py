@@ -9,6 +9,7 @@ from cyclopts import Parameter
 
 from vntoolkit.cli.flags import Flags, verb
 from vntoolkit.cli.output import MESH, ProgressBars, print_next_program, require_output
+from vntoolkit.errors import BadInput
 from vntoolkit.io.atomic import sole_writer, undisturbed
 from vntoolkit.io.motion.garment_fits import read_garment_fit
 from vntoolkit.pipeline.dress import (
@@ -32,6 +33,7 @@ def run(
     skeleton: Path | None = None,
     fit: Path | None = None,
     preview: Annotated[bool, Parameter(negative=())] = False,
+    distance_power: Annotated[float | None, Parameter(show=False)] = None,
     options: Annotated[DressOptions | None, Flags(renamed={"frame_rate_hz": "frame-rate"})] = None,
 ) -> None:
     """Attach a mesh registered by `vntoolkit track` to a skeleton animated by motion capture.
@@ -54,6 +56,11 @@ def run(
         Also write a contact sheet and a turntable video beside the result. Red shows what the cloth cannot
         follow: triangles stretched above 2×, and arms outside their sleeves.
     """
+    if distance_power is not None:
+        raise BadInput(
+            "--distance-power: was removed: weights follow the published 1/distance; take --falloff heat for "
+            "limbs that move more independently"
+        )
     require_figure_name(out)
     require_output(out)
     several = out.suffix.lower() in MESH

@@ -314,7 +314,7 @@ def dress(
 
 def _telling_frame(cloth: MeshSequence, kind: Garment) -> int:
     """Return the first of some frames that shows both sleeves or both legs apart, else the best of them."""
-    if kind is not Garment.AUTO and kind is not Garment.TROUSERS and not kind.has_sleeves:
+    if kind not in (Garment.AUTO, Garment.TROUSERS, Garment.SWEATER):
         return 0
     most, best = -1, 0
     for frame in sampled(range(len(cloth)), _FRAMES_LOOKED_AT):

@@ -22,12 +22,10 @@ _COLLAR_RISE = 0.12  # of the way from hips to shoulders: a collar lies above th
 
 
 class Garment(Enum):
-    """What is dressed. AUTO: trousers where the outline has two legs, else what has the sleeves it has."""
+    """What is dressed. AUTO: trousers where the outline has two legs, else a SWEATER: what has sleeves."""
 
     AUTO = "auto"
     SWEATER = "sweater"
-    SHIRT = "shirt"
-    JACKET = "jacket"
     SLEEVELESS = "sleeveless"
     TROUSERS = "trousers"
     SKIRT = "skirt"
@@ -37,11 +35,6 @@ class Garment(Enum):
     def is_lower(self) -> bool:
         """Whether it hangs from the waist."""
         return self in (Garment.TROUSERS, Garment.SKIRT)
-
-    @property
-    def has_sleeves(self) -> bool:
-        """Whether it is nothing without sleeves."""
-        return self in (Garment.SWEATER, Garment.SHIRT, Garment.JACKET)
 
 
 # Height of a garment over that of what it covers: hips to neck, hips to feet, or neck to feet.
@@ -70,12 +63,12 @@ class ArmPose(Enum):
 class GarmentFitOptions:
     """How the garment is brought onto the figure.
 
-    garment: what it is. Upper garments hang from the neck, and their sleeves on the arms; sleeveless ones
-    leave the arms alone. Trousers and skirts hang from the waist and follow the legs. auto tells trousers by
-    the outline, but not a skirt. fullness: height of the garment over the height of what it covers, hips to
-    neck or hips to feet. Default: 1.3; trousers 1.05, a skirt 0.65. depth: where the bones lie in the
-    garment's depth. arms: pose of the arms when the garment is attached. A fit file that gives a pose or
-    landmarks overrides it.
+    garment: what it is. Upper garments hang from the neck, and their sleeves on the arms: sweater stands for
+    shirts and jackets too. Sleeveless ones leave the arms alone. Trousers and skirts hang from the waist and
+    follow the legs. auto tells trousers by the outline, but not a skirt. fullness: height of the garment
+    over the height of what it covers, hips to neck or hips to feet. Default: 1.3; trousers 1.05, a skirt
+    0.65. depth: where the bones lie in the garment's depth. arms: pose of the arms when the garment is
+    attached. A fit file that gives a pose or landmarks overrides it.
     """
 
     garment: Garment = Garment.AUTO
@@ -176,9 +169,9 @@ def _kind_of(regions: GarmentRegions, asked: Garment) -> Garment:
             "trousers: the garment's outline has no gap between two legs: film them apart, or "
             "take --garment skirt"
         )
-    if asked.has_sleeves and not regions.sleeves:
+    if asked is Garment.SWEATER and not regions.sleeves:
         raise BadInput(
-            f"{asked.value}: no sleeve stands out from the garment's outline: film both "
+            "sweater: no sleeve stands out from the garment's outline: film both "
             "apart from the trunk, or take --garment sleeveless"
         )
     return asked
