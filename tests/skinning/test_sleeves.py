@@ -265,3 +265,13 @@ def test_an_unknown_arm_is_asked_for_and_named(sheet: MeshSequence, tmp_path: Pa
     arguments = ["dress", str(tmp_path), "--motion", "data/walk.bvh", "--out", out, "--stop", "0.05"]
     assert main([*arguments, "--map", "left-upper-arm=LeftArm", "--map", "left-forearm=LeftForeArm"]) == 0
     assert "arm inside its sleeve" in capsys.readouterr().out
+
+
+def test_an_arm_is_called_outside_by_the_figure_that_is_printed() -> None:
+    for off, said in (
+        (1.04, "inside its sleeve (elbow at most 1.0"),
+        (1.06, "outside its sleeve (elbow at most 1.1"),
+    ):
+        none, off_axis = np.zeros(1), np.array([[[off, 0.0, 0.0]]])
+        findings = DressingFindings(stretched=none, torn=none, off_axis=off_axis, sides=(1,), short=(False,))
+        assert f"left arm {said} radii off its axis, frame 0)" in findings.sentence

@@ -316,7 +316,7 @@ def _least_distance(skeleton: Skeleton, starts: Points) -> float:
 
 
 def _heaviest(joints: IntArray, weights: FloatArray, count: int) -> skin_weights.SkinWeights:
-    """Keep the `count` heaviest bones less the weight of the next (franke1980): none drops out with a jump."""
+    """Keep the `count` heaviest bones less the weight of the next, so that none drops out (franke1980)."""
     order = np.argsort(-weights, axis=1, kind="stable")[:, : count + 1]
     kept: Points = np.take_along_axis(weights, order, axis=1)
     if order.shape[1] > count:
