@@ -1,6 +1,6 @@
 """Figure 3: calibrate on a bare head that turns, then reconstruct the same face while it moves.
 
-    python recipes/figure03.py --out out/figure03 [--quick]        # quick: 640x480, 2 min of processor time
+    python recipes/figure03.py --out out/figure03 [--quick]        # quick: 480x360, 2 min of processor time
 
 The turning head gives poses, its own shape and M (brostow2011, IV); the face's frames then give normals,
 which are compared with those of the true M.
@@ -73,4 +73,4 @@ if __name__ == "__main__":
     parser.add_argument("--out", type=Path, default=Path("out/figure03"), help="folder to write")
     parser.add_argument("--quick", action="store_true", help="smaller pictures, one of them a face")
     arguments = parser.parse_args()
-    main(arguments.out, *(((640, 480), (0,)) if arguments.quick else ()))
+    main(arguments.out, *(((480, 360), (0,)) if arguments.quick else ()))

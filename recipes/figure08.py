@@ -1,6 +1,6 @@
 """Figure 8: a checkerboard on the face, tracked by each method side by side.
 
-    python recipes/figure08.py --out out/figure08 [--frames 1000]  # 1000 frames: about 2 h; --quick 4 min
+    python recipes/figure08.py --out out/figure08 [--frames 1000]  # 1000 frames: about 2 h; --quick 1 min
 
 Calibrates, simulates, reconstructs, and tracks by every method.
 
@@ -73,7 +73,7 @@ def run(documentation: str, name: str, scene: str) -> None:
     parser = argparse.ArgumentParser(description=documentation, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--out", type=Path, default=Path("out") / name, help="folder to write")
     parser.add_argument("--frames", type=int, default=1000)
-    parser.add_argument("--quick", dest="frames", action="store_const", const=30, help="30 frames")
+    parser.add_argument("--quick", dest="frames", action="store_const", const=3, help="3 frames")
     main(**vars(parser.parse_args()), scene=scene)
 
 

@@ -51,7 +51,6 @@ DOORS = {
     "av": ("io/", "live/"),
     "OpenEXR": ("io/",),
     "pxr": ("io/",),
-    "pybvh": ("io/motion/bvh",),
     "pydantic": ("io/",),
     "jinja2": ("report/", "live/"),
     "matplotlib": ("report/",),

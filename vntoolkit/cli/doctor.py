@@ -42,7 +42,6 @@ _LIBRARIES = (
     ("pymeshlab", "pymeshlab", "mesh cleaning, distance"),
     ("pycolmap", "pycolmap", "camera poses"),
     ("usd-core", "pxr.UsdSkel", "animated meshes"),
-    ("pybvh", "pybvh", "recorded motion"),
     ("matplotlib", "matplotlib.figure", "figures"),
     ("reportlab", "reportlab.pdfgen.canvas", "the board as PDF"),
     ("jinja2", "jinja2", "pages"),
