@@ -103,7 +103,7 @@ def test_paints_under_near_lamps_are_fitted_again(tmp_path: Path, monkeypatch: p
     job = filmed(tmp_path, PAINTS, 1, with_near_lamps(RESPONSE, 0.15, (SIZE, SIZE)))
 
     def once(*known: Any) -> list[MaterialEntry]:
-        return measured_materials.measured_materials(*known[:2]).entries
+        return measured_materials.measured_materials(*known[:4]).entries
 
     off = []
     for name in ("again", "once"):
@@ -127,9 +127,8 @@ def test_frames_far_apart_are_looked_at_and_decoded_once(
         return read(self, number)
 
     monkeypatch.setattr(Capture, "encoded", encoded)
-    first_frames = measured_materials.FirstFrames(capture, striped.open_mattes(capture), range(frames))
-    for _ in range(2):
-        assert [each.name[-6:-4] for each in first_frames.seen(striped)] == [f"{n:02d}" for n in expected]
+    seen = measured_materials.first_frames(striped, capture, striped.open_mattes(capture), range(frames))
+    assert [each.name[-6:-4] for each in seen] == [f"{n:02d}" for n in expected]
     assert decoded == expected
 
 

@@ -223,6 +223,8 @@ def distance_summary(distance: mesh_comparison.MeshDistance) -> dict[str, object
 
 def _read(path: Path) -> mesh_comparison.Compared:
     read = read_mesh(path)
+    if not len(read.vertices):
+        raise BadMesh(f"{path}: expected a surface or points, got no vertex; export it again")
     if len(read.faces):
         return read
     return PointCloud(points=read.vertices, normals=read.normals, colours=read.colours)

@@ -82,6 +82,13 @@ def test_a_strip_is_inspected(tmp_path, rng, shape):
         inspect_capture(tmp_path / "a.png", samples=0)
 
 
+@pytest.mark.parametrize("shape", [(5, 7), (1, 300), (11, 11)])
+def test_a_sequence_of_small_pictures_is_inspected(tmp_path, rng, shape):
+    for number in range(4):
+        write_png(tmp_path / f"{number}.png", rng.integers(40, 240, (*shape, 3), dtype=np.uint8))
+    assert inspect_capture(tmp_path).findings
+
+
 @pytest.mark.parametrize(
     ("files", "line"),
     [
