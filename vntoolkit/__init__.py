@@ -56,6 +56,7 @@ if TYPE_CHECKING:  # what editors and type checkers know; a test holds it to the
     from vntoolkit.cli.view import view as view
     from vntoolkit.errors import BadInput as BadInput
     from vntoolkit.errors import VntError as VntError
+    from vntoolkit.evaluation.angular_error import evaluate_normals as evaluate_normals
     from vntoolkit.geometry.camera import Camera as Camera
     from vntoolkit.geometry.camera import CameraModel as CameraModel
     from vntoolkit.geometry.maps import DepthMap as DepthMap
@@ -99,6 +100,7 @@ if TYPE_CHECKING:  # what editors and type checkers know; a test holds it to the
     from vntoolkit.photometry.response import LightResponse as LightResponse
     from vntoolkit.photometry.rig import Rig as Rig
     from vntoolkit.photometry.transfer import Transfer as Transfer
+    from vntoolkit.pipeline.opened_result import read_result as read_result
     from vntoolkit.shadows.detector import ShadowDetector as ShadowDetector
     from vntoolkit.shadows.recovery import recover_normals as recover_normals
     from vntoolkit.tracking.tracker import SurfaceTracker as SurfaceTracker
@@ -130,6 +132,8 @@ _PUBLIC = {
     "Mesh": "vntoolkit.geometry.mesh",
     "read_mesh": "vntoolkit.io.maps_and_meshes.meshes",
     "write_mesh": "vntoolkit.io.maps_and_meshes.meshes",
+    "read_result": "vntoolkit.pipeline.opened_result",
+    "evaluate_normals": "vntoolkit.evaluation.angular_error",
     "SurfaceTracker": "vntoolkit.tracking.tracker",
     "MeshSequence": "vntoolkit.geometry.mesh",
     # options, and the methods that they name

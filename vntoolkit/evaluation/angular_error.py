@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vntoolkit.arrays import FloatArray, IntArray, Mask
-from vntoolkit.checks import require_same_size, require_some
+from vntoolkit.checks import require_finite, require_same_size, require_shape, require_some
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.maps import NormalMap
 
@@ -53,6 +53,23 @@ def angular_error_map(measured: NormalMap, reference: NormalMap) -> tuple[FloatA
     angles = np.zeros(both.shape)
     angles[both] = angles_between_deg(measured.normals_in_camera[both], reference.normals_in_camera[both])
     return angles, both
+
+
+def evaluate_normals(measured: NormalMap | FloatArray, reference: NormalMap | FloatArray) -> AngularError:
+    """Compare normals of a method of one's own with the truth, both in the camera frame, n_z < 0.
+
+    measured, reference: normal maps, or arrays (h, w, 3) of unit vectors, 0 where there is none.
+    """
+    return compare_normals(_as_map(measured), _as_map(reference))
+
+
+def _as_map(normals: NormalMap | FloatArray) -> NormalMap:
+    if isinstance(normals, NormalMap):
+        return normals
+    given = np.asarray(normals, dtype=np.float32)
+    require_shape(given, (None, None, 3), "normals")
+    require_finite(given, "normals")
+    return NormalMap(normals_in_camera=given, mask=np.linalg.norm(given, axis=2) > 0.5)
 
 
 def summarise_angles(angles_deg: FloatArray) -> AngularError:

@@ -63,9 +63,15 @@ class Camera:
         object.__setattr__(self, "distortion", read_only(distortion))
 
     @classmethod
-    def pinhole(cls, *, width: int, height: int, focal_px: float) -> Camera:
-        """Build a pinhole camera with square pixels and the principal point in the image centre."""
-        matrix = np.array([[focal_px, 0, (width - 1) / 2], [0, focal_px, (height - 1) / 2], [0, 0, 1.0]])
+    def pinhole(cls, *, width: int, height: int, focal_px: float | tuple[float, float]) -> Camera:
+        """Build a pinhole camera with the principal point in the image centre.
+
+        focal_px: one focal length, or (f_x, f_y) where pixels are not square.
+        """
+        focal = np.ravel(np.asarray(focal_px, dtype=np.float64))
+        if len(focal) not in (1, 2):
+            raise BadInput(f"camera: expected one focal length, or f_x and f_y, got {len(focal)}")
+        matrix = np.array([[focal[0], 0, (width - 1) / 2], [0, focal[-1], (height - 1) / 2], [0, 0, 1.0]])
         return cls(model=CameraModel.PINHOLE, width=width, height=height, matrix=matrix)
 
     @classmethod

@@ -11,6 +11,9 @@ from vntoolkit.checks import require_mask, require_shape
 from vntoolkit.errors import BadInput
 
 HALF_WEIGHT_DEG = 12.0  # error of a normal that weighs half
+_LOOKED_AT_PX = 64  # rows and columns that tell axes and length
+_MOST_BACKWARD = 0.75  # of the pixels: noise turns fewer, other axes turn nearly all
+_LENGTH_OFF = 0.1  # from 1; rounding to 8 bits stays below 0.02
 NOISE_CELL_PX = 16  # side of the squares that noise is told by
 
 
@@ -43,6 +46,7 @@ class NormalMap(display.Displayed):
         normals = np.asarray(self.normals_in_camera, dtype=np.float32)
         require_shape(normals, (None, None, 3), "normals")
         require_mask(self.mask, normals.shape[:2])
+        _require_seen(normals, np.asarray(self.mask))
         object.__setattr__(self, "normals_in_camera", read_only(normals))
         object.__setattr__(self, "mask", read_only(np.asarray(self.mask)))
         height, width = normals.shape[:2]
@@ -75,6 +79,29 @@ class NormalMap(display.Displayed):
 
     def _picture(self) -> display.Picture:
         return display.picture_of_normals(self.normals_in_camera, self.mask)
+
+
+def _require_seen(normals: Normals, mask: Mask) -> None:
+    """Raise `BadInput` for normals of other axes or of no unit length, as files and arrays elsewhere hold.
+
+    A part of the pixels tells: a map of the wrong axes is wrong nearly everywhere.
+    """
+    step = max(1, min(mask.shape) // _LOOKED_AT_PX)
+    some = normals[::step, ::step][mask[::step, ::step]]
+    some = some[np.isfinite(some).all(axis=1)]  # who works on the map refuses what is no number
+    if not len(some):
+        return
+    if np.mean(some[:, 2] > 0) > _MOST_BACKWARD:
+        raise BadInput(
+            "normals: expected the camera's axes (x right, y down, z away from the viewer), where a visible "
+            f"normal has n_z < 0, got n_z > 0 in {np.mean(some[:, 2] > 0):.0%} of the pixels: multiply by "
+            "[1, -1, -1]"
+        )
+    lengths = np.linalg.norm(some, axis=1)
+    if not abs(np.median(lengths) - 1.0) < _LENGTH_OFF:
+        raise BadInput(
+            f"normals: expected unit length, got {np.median(lengths):g} (median); divide each by its length"
+        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

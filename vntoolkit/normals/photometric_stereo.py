@@ -72,6 +72,11 @@ def solve_photometric_stereo(images: FloatArray, lights: Points, mask: Mask | No
 def _require_images(images: FloatArray, lights: Points) -> Array:
     require_shape(lights, (None, 3), "lights")
     require_finite(lights, "lights")
+    if np.mean(lights[:, 2] > 0) > 0.5:
+        raise BadInput(
+            "lights: expected the camera's axes (x right, y down, z away from the viewer), where a light in "
+            "front of the surface has z < 0, got z > 0 in most: multiply by [1, -1, -1]"
+        )
     stack = np.ascontiguousarray(images, dtype=np.float32)
     require_shape(stack, (len(lights), None, None), "images (one for each light)")
     if len(lights) < fewest_lights:

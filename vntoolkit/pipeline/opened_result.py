@@ -22,7 +22,7 @@ from vntoolkit.io.maps_and_meshes.label_images import read_labels, read_material
 from vntoolkit.io.maps_and_meshes.maps import read_depth_map, read_normal_map
 from vntoolkit.io.maps_and_meshes.meshes import read_mesh
 from vntoolkit.io.results.frame_log import FrameEntry, FrameLog
-from vntoolkit.io.results.manifest import Manifest, read_manifest, result_digest
+from vntoolkit.io.results.manifest import FindingEntry, Manifest, read_manifest, result_digest
 from vntoolkit.io.results.sequences import read_mesh_sequence
 from vntoolkit.io.rigs import rig_from_entry
 from vntoolkit.options.footage import Gaps
@@ -195,6 +195,24 @@ class OpenedResult:
                 f"from {stated.frame_count} of {stated.width}×{stated.height}; name the footage it came from"
             )
         return capture
+
+    @property
+    def frames(self) -> tuple[int, ...]:
+        """Numbers of the frames that have normals, in order."""
+        return self.numbers
+
+    @property
+    def findings(self) -> list[FindingEntry]:
+        """What was found about footage and rig before the first frame."""
+        return self.manifest.findings or []
+
+
+def read_result(folder: Path | str) -> OpenedResult:
+    """Open a folder that `reconstruct` wrote: `.normals(3)`, `.depth(3)`, `.mesh(3)`, `.findings`, `.frames`.
+
+    Raises `BadInput` for a folder of another kind.
+    """
+    return open_result(Path(folder))
 
 
 def open_result(

@@ -117,6 +117,9 @@ class Capture(Displayed):
     def __len__(self) -> int:
         return self.info.frame_count
 
+    def __iter__(self) -> Iterator[LinearFrame]:
+        return self.frames()
+
     def _facts(self) -> Facts:
         rate = self.info.frame_rate_hz
         return {
