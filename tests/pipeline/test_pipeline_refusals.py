@@ -232,7 +232,9 @@ def test_simulations_of_what_cannot_be_filmed(tmp_path: Path) -> None:
     with pytest.raises(BadInput, match="jobs: expected at least 1 process, got 0"):
         simulate.simulate(job, jobs=0)
     (tmp_path / "capture.mkv").write_bytes(b"0")
-    with pytest.raises(BadInput, match=r"holds a capture\.mkv already; choose another folder"):
+    with pytest.raises(
+        BadInput, match=r"holds capture\.mkv, which `vntoolkit simulate` did not write; choose"
+    ):
         simulate.simulate(job)
     (tmp_path / "simulation.json").write_bytes(b"\xff\xfe")
     with pytest.raises(BadInput, match=r"simulation\.json: expected text in UTF-8; byte 0 is no text"):

@@ -11,8 +11,8 @@ from cyclopts import Parameter
 from vntoolkit.cli import flags
 from vntoolkit.cli.output import ProgressBars, print_next
 from vntoolkit.errors import BadInput
-from vntoolkit.io.atomic import sole_writer
 from vntoolkit.io.footage.mosaics import SensorOptions
+from vntoolkit.io.results.folder import write_lock
 from vntoolkit.pipeline.calibrate_presses import PressJob
 from vntoolkit.pipeline.press_circles import PressCircles
 from vntoolkit.report.circles_page import CirclesViewer
@@ -62,7 +62,7 @@ def circles(
         sensor=sensor or SensorOptions(),
         rectification=flags.rectification_from_flags(corners, size_mm, pixel_mm or 1.0),
     )
-    with sole_writer(out):
+    with write_lock(out):
         with ProgressBars() as bars:
             found = PressCircles(job, partial(bars.reach, "read presses"))
         if page:

@@ -9,8 +9,8 @@ from cyclopts import Parameter
 
 from vntoolkit.cli.flags import Flags, verb
 from vntoolkit.cli.output import MESH, ProgressBars, print_next_program, require_output
-from vntoolkit.io.atomic import sole_writer, undisturbed
 from vntoolkit.io.motion.garment_fits import read_garment_fit
+from vntoolkit.io.results.folder import read_lock, write_lock
 from vntoolkit.pipeline.dress import (
     DressOptions,
     captured_look,
@@ -57,8 +57,8 @@ def run(
     require_figure_name(out)
     require_output(out)
     several = out.suffix.lower() in MESH
-    alone = sole_writer(out.parent) if several else contextlib.nullcontext()
-    with undisturbed(folder), alone:
+    alone = write_lock(out.parent) if several else contextlib.nullcontext()
+    with read_lock(folder), alone:
         dressed = dress(
             read_tracked_cloth(folder),
             read_motion(motion, skeleton),

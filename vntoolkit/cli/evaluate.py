@@ -17,10 +17,10 @@ from vntoolkit.evaluation.angular_error import AngularError
 from vntoolkit.evaluation.track_error import TrackError
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.point_cloud import PointCloud
-from vntoolkit.io.atomic import sole_writer
 from vntoolkit.io.conventions import NormalConvention
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.maps_and_meshes.meshes import read_mesh
+from vntoolkit.io.results.folder import write_lock
 from vntoolkit.pipeline import evaluate
 from vntoolkit.pipeline.evaluate import evaluate_cylinder as run
 from vntoolkit.pipeline.opened_result import open_result
@@ -62,7 +62,7 @@ def normals(
         Axes of the reference.
     """
     require_output(out / "normals.json")
-    with sole_writer(out):
+    with write_lock(out):
         pairs = evaluate.pairs_of(measured, reference)
         with progress_bar("normals", len(pairs)) as advance:
             found = evaluate.compare_normal_files(
@@ -117,7 +117,7 @@ def mesh(
         embree: nearest points by Open3D, at any distance. pymeshlab: nearest points by MeshLab.
     """
     require_output(out / "mesh.json")
-    with sole_writer(out):
+    with write_lock(out):
         options = options or mesh_comparison.AlignmentOptions()
         measured = _read(mesh)
         if reference is None and not isinstance(measured, Mesh):
@@ -223,7 +223,7 @@ def cylinder(
         The folder that `vntoolkit simulate` wrote. With it, the fit itself is compared with the truth.
     """
     require_output(out / "cylinder.json")
-    with sole_writer(out):
+    with write_lock(out):
         result = open_result(folder, frames=FrameRange.from_text(frames), footage=footage)
         with progress_bar("cylinder", 2 * len(result.numbers)) as advance:
             found = run(result, truth, lambda _number: advance(1))
@@ -307,7 +307,7 @@ def tracks(
     for name, each in folders.items():
         target = each / "track" if (each / "track").is_dir() else each
         results[name] = evaluate.evaluate_tracks(target, truth, every, lost_px)
-    with sole_writer(out):
+    with write_lock(out):
         for name, errors in results.items():
             evaluate.write_track_errors(tables[name], errors)
             _print_table(name, errors)
@@ -348,7 +348,7 @@ def integration(*, data: Path | None = None, size: int = 256, out: Out = _OUT) -
         Side of the analytic surfaces in pixels.
     """
     require_output(out / "integration.json")
-    with sole_writer(out):
+    with write_lock(out):
         objects = [] if data is None else evaluate.objects_in(data)
         cases = evaluate.surface_cases(size)
         rows, curves, last = [], {}, None

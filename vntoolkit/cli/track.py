@@ -9,10 +9,9 @@ from cyclopts import Parameter
 
 from vntoolkit.cli.flags import Flags, Footage, Overwrite, verb
 from vntoolkit.cli.output import ProgressBars, print_next
+from vntoolkit.errors import BadInput
 from vntoolkit.io.results.seams import read_seams
 from vntoolkit.pipeline.checkerboard import write_checkerboard
-from vntoolkit.pipeline.refine_albedo import refine_albedo as run_refinement
-from vntoolkit.pipeline.refine_albedo import require_refinable
 from vntoolkit.pipeline.texture import write_texture
 from vntoolkit.pipeline.track import TrackJob
 from vntoolkit.pipeline.track import track as run
@@ -28,7 +27,7 @@ def track(
     template: int | None = None,
     out: Path | None = None,
     lost_px: float = 4.0,
-    refine_albedo: Annotated[bool, Parameter(negative=())] = False,
+    refine_albedo: Annotated[bool, Parameter(negative=(), show=False)] = False,
     footage: Footage = "",
     background: Path | None = None,
     overwrite: Overwrite = False,
@@ -52,17 +51,16 @@ def track(
         The folder to write; default FOLDER/track.
     lost_px
         A vertex is called lost where its expected error is above this, in pixels.
-    refine_albedo
-        Average over the frames what they tell of every vertex's reflectance, and write normals, depth and
-        meshes again with it into refined/ beside the tracks: paint is then the same in all frames. Needs a
-        rig with the colours of its lamps.
     background
         The background image that the reconstruction subtracted, for the colours of the texture.
     overwrite
         Replace the tracks that the folder holds.
     """
     if refine_albedo:
-        require_refinable(folder, footage=footage, background=background)
+        raise BadInput(
+            "--refine-albedo is gone, since normals were hardly better for it; leave it out, or calibrate "
+            "with one photograph per lamp (--single-light), so that `reconstruct` tells paint from relief"
+        )
     job = TrackJob(
         folder=folder,
         options=tracking or TrackingOptions(),
@@ -86,17 +84,4 @@ def track(
     made = write_texture(folder, job.target, footage=footage, background=background)
     shown = made.texture.albedo or made.texture.normal
     print(f"{shown}: {made.covered:.1%} of the surface from {made.frames} frames, the rest filled")
-    if refine_albedo:
-        with ProgressBars() as bars:
-            refined = run_refinement(
-                folder, job.target, footage=footage, background=background, overwrite=overwrite,
-                on_start=partial(bars.begin, "reconstruct"), on_frame=bars.step,
-            )  # fmt: skip
-        known, again = refined.reflectance, refined.reconstruction
-        print(
-            f"{again.folder}: {again.done + again.resumed} of {again.frames} frames again, with the "
-            f"reflectance of {known.seen:.1%} of the vertices from {known.frames} frames; {known.described()}"
-        )
-        print_next("track", again.folder)
-        return
     print_next("dress", job.target, "--motion", "data/walk.bvh", "--out", "cloth.usdc")

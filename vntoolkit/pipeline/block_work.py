@@ -35,7 +35,6 @@ from vntoolkit.photometry.transfer import Transfer
 from vntoolkit.pipeline.frame_processor import FrameProcessor, SeenFrame
 from vntoolkit.pipeline.options import DepthOffset, OnError, Product, ReconstructOptions
 from vntoolkit.pipeline.outputs import FrameResult, ReconstructionFolder
-from vntoolkit.pipeline.painted_surface import PaintedSurface, TrackedReflectance
 from vntoolkit.shadows.detector import ShadowMethod
 
 _WAITING = 1  # frames that lie between one thread and the next
@@ -56,12 +55,12 @@ class ReconstructionJob:
     image, or video, folder or pattern of mattes, or None. matting: how these become masks. background: file
     or None. sensor: how samples of the sensor itself are read. reflectances: (m, 3), of materials relative
     to the rig's; empty for the rig's alone. pigments: (m, 3), along which log reflectances change, 0 for
-    none. errors_deg: (m,), root mean square angles by which the materials' errors turn normals. surface:
-    reflectances of a tracked surface, which count before those of the materials. lamp_doubts_deg:
-    of the directions of lamps that were looked for in shadows, infinite for unknown. nearness: of
-    the lamps, by which the rig's M was made to change over the picture; 0 for not at all. blur_px: standard
-    deviation of the picture's blur, which expected errors count; 0 for unknown. threads: for decoding; with
-    1, reading and processing take turns, so that a worker is one core's. limits: on what any process reads.
+    none. errors_deg: (m,), root mean square angles by which the materials' errors turn normals.
+    lamp_doubts_deg: of the directions of lamps that were looked for in shadows, infinite for unknown.
+    nearness: of the lamps, by which the rig's M was made to change over the picture; 0 for not at all.
+    blur_px: standard deviation of the picture's blur, which expected errors count; 0 for unknown. threads:
+    for decoding; with 1, reading and processing take turns, so that a worker is one core's. limits: on what
+    any process reads.
     """
 
     source: str
@@ -78,7 +77,6 @@ class ReconstructionJob:
     reflectances: tuple[tuple[float, float, float], ...] = ()
     pigments: tuple[tuple[float, float, float], ...] = ()
     errors_deg: tuple[float, ...] = ()
-    surface: TrackedReflectance | None = None
     lamp_doubts_deg: tuple[float, ...] = ()
     nearness: float = 0.0
     blur_px: float = 0.0
@@ -151,7 +149,6 @@ class BlockWorker:
             reflectances=job.reflectances,
             pigments=job.pigments,
             errors_deg=job.errors_deg,
-            painted=None if job.surface is None else PaintedSurface(job.surface, job.rig.response.central),
             blur_px=job.blur_px,
         )
 

@@ -10,8 +10,8 @@ from pathlib import Path
 from vntoolkit.calibration.board import BoardOptions
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.board_layout import BoardLayout
-from vntoolkit.io.atomic import sole_writer
 from vntoolkit.io.footage.frame_range import FrameRange
+from vntoolkit.io.results.folder import write_lock
 from vntoolkit.io.rigs import read_rig, write_rig
 from vntoolkit.pipeline.block_work import ReconstructionJob
 from vntoolkit.pipeline.calibrate import CalibrationJob, calibrate_board
@@ -96,7 +96,7 @@ def run_demo(
         "film the board": _film(_BOARD, folder.board, f"::{_BOARD_STEP}", options, sample="sweater"),
         "film the sweater": _film("sweater", folder.garment, f":{options.frames}", options),
     }
-    with sole_writer(folder.root), processes_kept():
+    with write_lock(folder.root), processes_kept():
         for stage, job in films.items():
             count = _Counter(stage, on_progress)
             simulate(job, jobs=jobs, overwrite=overwrite, on_start=count.start, on_frame=count.advance)

@@ -4,7 +4,7 @@ import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Any, TypeVar, get_args, get_type_hints
+from typing import Any
 
 from vntoolkit.errors import BadInput
 from vntoolkit.integration.options import IntegrationOptions
@@ -13,8 +13,6 @@ from vntoolkit.materials.search import MOST_MATERIALS
 from vntoolkit.meshing.surface import MeshOptions
 from vntoolkit.normals.inversion import InversionOptions
 from vntoolkit.shadows.detector import ShadowMethod
-
-_Options = TypeVar("_Options")
 
 
 class Product(Enum):
@@ -109,32 +107,6 @@ def sensor_from_values(values: Mapping[str, Any]) -> SensorOptions:
         )
     except ValueError as problem:
         raise BadInput(f"reconstruction.json: {problem}") from problem
-
-
-def options_from_values(values: Mapping[str, Any]) -> ReconstructOptions:
-    """Return the options that a manifest states, the defaults of those that it does not; raise `BadInput`."""
-    try:
-        return _dataclass_from_values(ReconstructOptions, values, "")
-    except (TypeError, ValueError) as problem:
-        raise BadInput(f"reconstruction.json: {problem}") from problem
-
-
-def _dataclass_from_values(kind: type[_Options], values: Mapping[str, Any], prefix: str) -> _Options:
-    given: dict[str, Any] = {}
-    for name, stated in get_type_hints(kind).items():
-        if isinstance(stated, type) and dataclasses.is_dataclass(stated):
-            given[name] = _dataclass_from_values(stated, values, f"{prefix}{name}.")
-        elif prefix + name in values:
-            given[name] = _value_of(stated, values[prefix + name])
-    return kind(**given)
-
-
-def _value_of(stated: Any, value: Any) -> Any:
-    """Return a JSON value as the type that is stated for it."""
-    choices = [
-        each for each in (stated, *get_args(stated)) if isinstance(each, type) and issubclass(each, Enum)
-    ]
-    return choices[0](value) if choices and isinstance(value, str) else value
 
 
 def option_values(options: Any, prefix: str = "", without: tuple[str, ...] = ()) -> dict[str, Any]:

@@ -9,15 +9,10 @@ from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.io.maps_and_meshes.label_images import write_labels, write_mask, write_materials
 from vntoolkit.io.maps_and_meshes.maps import write_depth_map, write_normal_map
 from vntoolkit.io.maps_and_meshes.meshes import write_mesh
+from vntoolkit.io.results.manifest import FRAME_FILES
 from vntoolkit.materials.pixels import MaterialLabels
 from vntoolkit.pipeline.contact import Contact
 from vntoolkit.shadows.lamp_directions import LampDirections
-
-# folder -> suffix of a frame's file in it
-FRAME_FILES = {
-    "normals": ".exr", "depth": ".exr", "mesh": ".ply",
-    "shadows": ".png", "contact": ".png", "materials": ".png",
-}  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

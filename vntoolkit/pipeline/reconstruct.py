@@ -1,6 +1,5 @@
 """Reconstruction of a capture: normals, depth, meshes; resumable, in one process or many."""
 
-import contextlib
 import logging
 import time
 from collections.abc import Callable, Generator, Iterator, Sequence
@@ -14,15 +13,16 @@ import numpy as np
 from vntoolkit.arrays import Mask
 from vntoolkit.diagnosis.finding import Finding, judge
 from vntoolkit.diagnosis.inspection import Examination, examine_capture
-from vntoolkit.errors import BadCapture, BadInput, VntError
-from vntoolkit.io.atomic import remove_numbered, require_apart, sole_writer, write_text
+from vntoolkit.errors import BadCapture, BadInput
+from vntoolkit.io.atomic import require_apart, write_text
 from vntoolkit.io.footage.captures import Capture, CaptureInfo
 from vntoolkit.io.footage.frame_range import FrameRange, Gaps
 from vntoolkit.io.footage.mattes import MatteOptions, Mattes, require_mattes
 from vntoolkit.io.footage.mosaics import SensorOptions
 from vntoolkit.io.footage.sequence import text_of_names
 from vntoolkit.io.results import manifest as manifests
-from vntoolkit.io.results.frame_log import FRAMES_NAME, FrameEntry, FrameLog
+from vntoolkit.io.results.folder import begin_run, write_lock
+from vntoolkit.io.results.frame_log import FrameEntry, FrameLog
 from vntoolkit.io.rigs import entry_from_rig
 from vntoolkit.materials.labelling import MaterialLabeller
 from vntoolkit.materials.pixels import near_seams
@@ -41,8 +41,6 @@ from vntoolkit.pipeline.measured_materials import (
     seeks_materials,
 )
 from vntoolkit.pipeline.options import SENSOR_PREFIX, MaterialSearch, option_values
-from vntoolkit.pipeline.outputs import FRAME_FILES
-from vntoolkit.pipeline.painted_surface import TrackedReflectance
 from vntoolkit.pipeline.processes import shared_out
 from vntoolkit.shadows.detector import ShadowMethod
 
@@ -122,7 +120,7 @@ def reconstruct(
     if job.gaps is Gaps.REFUSE:
         require_mattes(mattes, (n for n in capture.present if n in numbers), job.mask)
     inputs = (*capture.info.files, *mattes.files, job.background)
-    require_apart(inputs, (root / name for name in FRAME_FILES))
+    require_apart(inputs, (root / name for name in manifests.FRAME_FILES))
     if scheduler is not None:
         require_scheduler(scheduler)
     if capture.info.left_out:
@@ -130,9 +128,9 @@ def reconstruct(
         logger.warning("%s: left out, since the frames are named otherwise: %s", job.source, names)
     missing = _missing_frames(capture, mattes, numbers)
     examined = Examination(findings=[])
-    if not seeks_materials(job) and job.surface is None:
+    if not seeks_materials(job):
         examined = _require_plausible(job, capture, mattes, numbers)
-    with sole_writer(root):
+    with write_lock(root):
         job, manifest, log = _prepared(job, capture, mattes, frames, overwrite, examined)
         on_disk = {number for number in log.done() if job.folder.has(number, *job.folders)}
         on_start(len(numbers), len(on_disk & set(numbers)))
@@ -172,12 +170,10 @@ def _prepared(
     numbers = frames.numbers(capture.info.frame_count)
     resumes = manifests.has_manifest(root) and not overwrite
     earlier = manifests.read_manifest(root) if resumes else None
-    if earlier is None and job.surface is not None:  # the materials are those of the reconstruction refined
-        earlier = manifests.read_manifest(job.surface.result)
     job = _with_lamps(job, capture, mattes, numbers, earlier)
     first_frames = FirstFrames(capture, mattes, numbers)
     job, measured = resolve_options(job, capture, mattes, numbers, earlier, first_frames)
-    if seeks_materials(job) and job.surface is None:
+    if seeks_materials(job):
         labeller = None if measured.seen is None else measured.seen.labeller
         examined = _require_plausible(job, capture, mattes, numbers, labeller)
     job = _with_blur(_with_near_lamps(job, examined, earlier), examined, earlier)
@@ -186,11 +182,7 @@ def _prepared(
         materials = refitted_materials(job, first_frames, measured.seen)
         job = _of_materials(job, materials)
     manifest = manifest_of_run(job, capture, mattes, frames, materials, examined.findings)
-    if resumes:
-        manifests.require_resumable(root, manifest)
-    if overwrite:
-        clear(root)
-    manifests.write_manifest(root, manifest)
+    begin_run(root, manifests.RECONSTRUCTION, manifest, overwrite=overwrite)
     return job, manifest, FrameLog(root)
 
 
@@ -215,20 +207,6 @@ def _missing_frames(capture: Capture, mattes: Mattes, numbers: range) -> list[Fr
     why = dict.fromkeys(mattes.missing(numbers), "no matte")
     why.update({number: f"no file {name}" for number, name in capture.info.missing.items()})
     return [FrameEntry(number=number, failure=why[number]) for number in sorted(why) if number in numbers]
-
-
-def clear(root: Path) -> None:
-    """Remove what the manifest and the log of a folder tell that `reconstruct` wrote, and nothing else."""
-    if not manifests.has_manifest(root):
-        return
-    numbers = set(FrameLog(root).entries())
-    with contextlib.suppress(VntError):  # a manifest that is no longer readable
-        numbers.update(range(manifests.read_manifest(root).input.frame_count))
-    for name, suffix in FRAME_FILES.items():
-        remove_numbered(root / name, suffix, numbers)
-    (root / FRAMES_NAME).unlink(missing_ok=True)
-    (root / "contact.csv").unlink(missing_ok=True)
-    (root / manifests.MANIFEST_NAME).unlink()
 
 
 def _workers(jobs: int, scheduler: str | None) -> Workers:
@@ -462,20 +440,11 @@ def manifest_of_run(
         rig=entry_from_rig(job.rig),
         options=_options_that_shape(job),
         materials=materials,
-        surface=_entry_of_surface(job.surface),
         findings=[manifests.FindingEntry(check=f.check, level=f.level.value, text=f.text) for f in findings],
         frames=frames.to_text(),
         outputs=job.folders,
         versions=manifests.library_versions(),
         started=manifests.now_utc(),
-    )
-
-
-def _entry_of_surface(known: TrackedReflectance | None) -> manifests.SurfaceEntry | None:
-    if known is None:
-        return None
-    return manifests.SurfaceEntry(
-        frames=known.frames, seen=known.seen, lines=known.lines, spreads=known.spreads
     )
 
 
@@ -492,8 +461,6 @@ def _options_that_shape(job: ReconstructionJob) -> dict[str, Any]:
         values["lamps.nearness"] = job.nearness
     if job.blur_px:
         values["lens.blur_px"] = job.blur_px
-    if job.surface is not None:
-        values["surface.reflectance"] = job.surface.sha256
     return values
 
 

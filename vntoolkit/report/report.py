@@ -318,7 +318,6 @@ def track_section(result: OpenedResult, track: TrackedSurface) -> page.PageSecti
         pixels = resized_image(np.asarray(read_image(sheet), dtype=np.uint8), _SHEET_PX)
         caption = "A checkerboard painted on the template and carried along: it should look printed on."
         figures.append(page.figure_from_pixels(pixels, caption, wide=True))
-    figures += _before_and_after(result, track.template)
     return page.PageSection(
         title="Registered surface",
         numbers=(
@@ -330,25 +329,6 @@ def track_section(result: OpenedResult, track: TrackedSurface) -> page.PageSecti
         ),
         figures=tuple(figures),
     )
-
-
-def _before_and_after(result: OpenedResult, number: int) -> list[page.PageFigure]:
-    """Return a frame's normals without and with the reflectance of the tracked surface, where these are."""
-    again = result.refined
-    if again is None or number not in again.numbers or number not in result.numbers:
-        return []
-    before = result.normals(number)
-    parts = {"normals before": before, "with the surface's reflectance": again.normals(number)}
-    both = pictures.cropped(
-        [pictures.picture_of_normals(each, pictures.GROUND) for each in parts.values()], before.mask
-    )
-    caption = (
-        "Normals of the template's frame: paint that is told over all frames, such as freckles and lips, is "
-        "no relief with it."
-    )
-    return [
-        page.figure_from_pixels(pictures.tiled([dict(zip(parts, both, strict=True))]), caption, wide=True)
-    ]
 
 
 def size_and_rate(source: InputEntry) -> str:

@@ -4,10 +4,12 @@ The manifest is written when a run starts and when it ends; finished frames are 
 beside it (`frame_log`), one short line each, so that 10,000 frames cost no more each than the first.
 """
 
+import contextlib
 import hashlib
 import json
 import os
 import platform
+from collections.abc import Container
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -16,14 +18,21 @@ from typing import Any, Literal
 from pydantic import Field, ValidationError
 
 import vntoolkit
-from vntoolkit.errors import BadInput
+from vntoolkit.errors import BadInput, VntError
 from vntoolkit.io.atomic import write_text
 from vntoolkit.io.files import parse_json, read_text, require_file, sha256_of_file
 from vntoolkit.io.maps_and_meshes.label_images import LABEL_LEGEND
+from vntoolkit.io.results.folder import FolderKind, numbers_in_words, numbers_on_disk
+from vntoolkit.io.results.frame_log import FRAMES_NAME, FrameLog
 from vntoolkit.io.rigs import Entry, RigFile, SourceEntry, one_line_from_validation, text_from_model
 from vntoolkit.native import open3d_distribution
 
 MANIFEST_NAME = "reconstruction.json"
+# folder -> suffix of a frame's file in it
+FRAME_FILES = {
+    "normals": ".exr", "depth": ".exr", "mesh": ".ply",
+    "shadows": ".png", "contact": ".png", "materials": ".png",
+}  # fmt: skip
 MANIFEST_VERSION = 1
 _STILLS_RATE_HZ = 30.0
 _LIBRARIES = ("numpy", "scipy", "numba", "opencv-contrib-python-headless", "av", "OpenEXR")
@@ -78,17 +87,6 @@ class MaterialEntry(Entry):
     )
 
 
-class SurfaceEntry(Entry):
-    """Reflectances of a tracked surface that the frames were reconstructed again with."""
-
-    frames: int = Field(ge=0, description="Frames that told the reflectances.")
-    seen: float = Field(description="Share of the surface's vertices that these show.")
-    lines: tuple[tuple[float, float, float], ...] = Field(
-        description="Of each material, the line of log reflectance along which paint varies, of length 1."
-    )
-    spreads: tuple[float, ...] = Field(description="Of each material, standard deviation along that line.")
-
-
 class FindingEntry(Entry):
     """What the run found wrong with footage or rig before its first frame."""
 
@@ -111,10 +109,6 @@ class Manifest(Entry):
     )
     materials: list[MaterialEntry] = Field(
         default_factory=list, description="Materials that were found; empty for the rig's alone."
-    )
-    surface: SurfaceEntry | None = Field(
-        default=None,
-        description="Reflectances of a tracked surface (`track --refine-albedo`); null for none.",
     )
     findings: list[FindingEntry] | None = Field(
         default=None, description="What was found wrong before the first frame; null where none was kept."
@@ -163,40 +157,60 @@ def read_manifest(folder: Path | str) -> Manifest:
         raise BadInput(f"{path}: {one_line_from_validation(problem, Manifest)}") from problem
 
 
-def changes_between(before: Manifest, now: Manifest) -> list[str]:
-    """Return the differences of two runs, one phrase each; empty if their results may be mixed.
+def request_of_manifest(manifest: Manifest) -> dict[str, Any]:
+    """Return what shapes a reconstruction, by names for messages.
 
-    Frames asked for, folders written, versions and times may differ; inputs, rig and options may not.
+    Frames asked for, folders written, names of files, versions and times do not.
     """
-    changes = []
-    if before.input.files != now.input.files:
-        changes.append(f"the input files ({before.input.source} → {now.input.source})")
-    for name in sorted(set(before.extra_files) | set(now.extra_files)):
-        if before.extra_files.get(name) != now.extra_files.get(name):
-            changes.append(f"the file of --{name}")
-    for section in RigFile.model_fields:
-        if section not in ("quality", "sources") and getattr(before.rig, section) != getattr(
-            now.rig, section
-        ):
-            changes.append(f"the rig's {section}")
-    now_options = json.loads(json.dumps(now.options))
-    for name in sorted(set(before.options) | set(now_options)):
-        old, new = before.options.get(name), now_options.get(name)
-        if old != new:
-            changes.append(f"{name} ({old} → {new})")
-    return changes
+    asked: dict[str, Any] = {"the input files": [entry.sha256 for entry in manifest.input.files]}
+    asked |= {f"the file of --{name}": entry.sha256 for name, entry in manifest.extra_files.items()}
+    rig = manifest.rig.model_dump(mode="json", exclude={"quality", "sources"})
+    asked |= {f"the rig's {section}": content for section, content in rig.items()}
+    return asked | manifest.options
 
 
-def require_resumable(folder: Path | str, now: Manifest) -> None:
-    """Raise `BadInput` if `folder` holds results of other inputs or options; the message names the change."""
-    if not has_manifest(folder):
-        return
-    changes = changes_between(read_manifest(folder), now)
-    if changes:
-        raise BadInput(
-            f"{folder}: holds results made differently: {'; '.join(changes)}; add --overwrite to replace "
-            "them, or choose another --out"
-        )
+def result_digest(manifest: Manifest) -> str:
+    """Return the SHA-256 of what shapes a reconstruction; frames may be added."""
+    content = [request_of_manifest(manifest), manifest.input.frame_rate_hz]
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
+def missing_files(folder: Path, manifest: Manifest, wanted: Container[int]) -> list[str]:
+    """Return, a line each, which of the wanted frames are recorded as done while their files are gone."""
+    log, remedy = FrameLog(folder), "run `vntoolkit reconstruct` again: it makes what is missing"
+    if manifest.finished and not log.path.exists():
+        return [f"{FRAMES_NAME} is gone, so that nothing says which frames are done; {remedy}"]
+    done = {number for number in log.done() if number in wanted}
+    kinds_by_gone: dict[tuple[int, ...], list[str]] = {}
+    for kind in sorted(set(manifest.outputs) & set(FRAME_FILES)):
+        gone = done.difference(numbers_on_disk(folder / kind, FRAME_FILES[kind]))
+        if gone:
+            kinds_by_gone.setdefault(tuple(sorted(gone)), []).append(kind)
+    return [
+        f"{numbers_in_words(gone)} {'is' if len(gone) == 1 else 'are'} recorded as done, but files in "
+        f"{', '.join(kinds)} are gone; {remedy}"
+        for gone, kinds in kinds_by_gone.items()
+    ]
+
+
+def _numbers_of_run(folder: Path) -> set[int]:
+    numbers = set(FrameLog(folder).entries())
+    with contextlib.suppress(VntError):  # a manifest that is no longer readable
+        numbers.update(range(read_manifest(folder).input.frame_count))
+    return numbers
+
+
+RECONSTRUCTION = FolderKind(
+    verb="reconstruct",
+    holds="results",
+    record=MANIFEST_NAME,
+    files=(FRAMES_NAME, "contact.csv"),
+    frames={name: (suffix,) for name, suffix in FRAME_FILES.items()},
+    read=lambda path: read_manifest(path.parent),
+    text=text_from_model,
+    request=request_of_manifest,
+    numbers=_numbers_of_run,
+)
 
 
 def hashed(files: tuple[Path, ...] | list[Path]) -> list[SourceEntry]:
@@ -233,18 +247,3 @@ def now_utc() -> str:
     except (ValueError, OverflowError, OSError) as problem:
         raise BadInput(f"SOURCE_DATE_EPOCH: expected seconds since 1970, got '{fixed}'") from problem
     return moment.isoformat(timespec="seconds")
-
-
-def result_digest(manifest: Manifest) -> str:
-    """Return the SHA-256 of what shapes a reconstruction: footage, mask, background, rig and options.
-
-    Frames may be added and the footage may be named otherwise, as for `changes_between`.
-    """
-    content = [
-        [file.model_dump() for file in manifest.input.files],
-        manifest.input.frame_rate_hz,
-        {name: file.model_dump() for name, file in manifest.extra_files.items()},
-        manifest.rig.model_dump(exclude={"quality", "sources"}),
-        manifest.options,
-    ]
-    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
