@@ -199,8 +199,13 @@ def test_a_manifest_comes_back_and_names_what_changed(tmp_path, manifest, rig):
 def test_a_folder_without_a_manifest_is_refused(tmp_path):
     with pytest.raises(BadInput, match=r"holds no reconstruction\.json"):
         read_manifest(tmp_path)
-    (tmp_path / "reconstruction.json").write_text('{"version": 1, "input": 3}')
+    (tmp_path / "reconstruction.json").write_text('{"version": 2, "input": 3}')
     with pytest.raises(BadInput, match="input: expected a JSON object with the keys source"):
+        read_manifest(tmp_path)
+    (tmp_path / "reconstruction.json").write_text('{"version": 1}')
+    with pytest.raises(
+        BadInput, match="of version 1, this program reads 2; reconstruct again, with --overwr"
+    ):
         read_manifest(tmp_path)
 
 

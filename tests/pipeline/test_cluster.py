@@ -13,16 +13,16 @@ from vntoolkit.errors import BadCapture, BadInput, MissingDependency
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.footage.images import write_png
 from vntoolkit.io.results.frame_log import FrameEntry, FrameLog
-from vntoolkit.pipeline.block_work import ReconstructionJob
 from vntoolkit.pipeline.cluster import connected
 from vntoolkit.pipeline.options import Product, ReconstructOptions
 from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.reconstruct import reconstruct
+from vntoolkit.pipeline.request import Request
 from vntoolkit.shadows.detector import ShadowMethod
 
 
-def job_of(capture: DomeCapture, out: Path) -> ReconstructionJob:
-    return ReconstructionJob(
+def job_of(capture: DomeCapture, out: Path) -> Request:
+    return Request(
         source=capture.source,
         rig=capture.rig,
         options=ReconstructOptions(shadows=ShadowMethod.NONE, to=Product.DEPTH),

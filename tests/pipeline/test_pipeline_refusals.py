@@ -22,7 +22,6 @@ from vntoolkit.io.footage.images import write_png
 from vntoolkit.io.rigs import write_rig
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline import simulate
-from vntoolkit.pipeline.block_work import ReconstructionJob
 from vntoolkit.pipeline.calibrate import CalibrationJob, calibrate_lights, mean_frame
 from vntoolkit.pipeline.calibrate_presses import PressJob, calibrate_presses
 from vntoolkit.pipeline.dress import dress
@@ -39,6 +38,7 @@ from vntoolkit.pipeline.options import ReconstructOptions
 from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.reconstruct import reconstruct
 from vntoolkit.pipeline.referenced_captures import read_capture
+from vntoolkit.pipeline.request import Request
 from vntoolkit.pipeline.simulate import SimulationFolder, SimulationJob
 from vntoolkit.pipeline.tracked_folder import read_track_record, recorded_camera
 from vntoolkit.pipeline.truth_comparison import compare_with_truth
@@ -217,7 +217,7 @@ def test_rectified_images_are_not_mixed_with_others(
 
 def test_a_first_frame_that_shows_nothing_is_named(tmp_path: Path, dome_capture: DomeCapture) -> None:
     write_png(tmp_path / "dark.png", np.zeros((*SIZE, 3), np.uint8))
-    job = ReconstructionJob(
+    job = Request(
         source=str(tmp_path / "dark.png"),
         rig=dome_capture.rig,
         options=ReconstructOptions(),

@@ -15,9 +15,10 @@ from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap
 from vntoolkit.io.results.manifest import FindingEntry, read_manifest, write_manifest
+from vntoolkit.pipeline.opened_result import open_result
 from vntoolkit.report.page import PageSection, PageTable, figure_from_file, figure_from_plot
 from vntoolkit.report.pictures import new_figure, normals_from_depth, picture_of_depth
-from vntoolkit.report.report import ReportOptions, write_report
+from vntoolkit.report.report import ReportOptions, content_of_report, write_report
 
 SCRIPT = "<script>alert(1)</script>"
 
@@ -117,11 +118,15 @@ def test_it_does_without_footage_and_tracks(
 def test_it_repeats_what_the_run_found(dome_result: DomeResult, tmp_path: Path) -> None:
     folder = shutil.copytree(dome_result.folder, tmp_path / "warned")
     manifest = read_manifest(folder)
-    finding = FindingEntry(check="clipping", level="warning", text="7.5% of the pixels are clipped")
-    write_manifest(folder, manifest.model_copy(update={"findings": [finding]}))
-    assert "7.5% of the pixels are clipped" in write_report(folder).read_text()
-    write_manifest(folder, manifest.model_copy(update={"findings": None}))
-    assert "kept no findings; `vntoolkit doctor` looks anew" in write_report(folder).read_text()
+    clipped = FindingEntry(check="clipping", level="note", text="7.5% of the pixels are clipped")
+    worse = FindingEntry(check="reconstruct", level="warning", text="half of the normals may be off", frame=2)
+    known = manifest.known.model_copy(update={"findings": [clipped]})
+    write_manifest(folder, manifest.model_copy(update={"known": known, "findings": [worse]}))
+    page = write_report(folder).read_text()
+    assert page.index("half of the normals") < page.index("7.5% of the pixels") < page.index("Sample frames")
+    found = content_of_report(open_result(folder))["findings"]
+    assert [finding["text"] for finding in found] == [worse.text, clipped.text]
+    assert found[0]["frame"] == 2
 
 
 def test_refusals(tmp_path: Path) -> None:

@@ -17,11 +17,11 @@ from vntoolkit.io.footage.mosaics import SensorOptions
 from vntoolkit.io.rigs import read_rig
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import Transfer
-from vntoolkit.pipeline.block_work import ReconstructionJob
 from vntoolkit.pipeline.options import ReconstructOptions
 from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.reconstruct import ReconstructionSummary
 from vntoolkit.pipeline.reconstruct import reconstruct as run
+from vntoolkit.pipeline.request import Request
 
 ReconstructFlags: TypeAlias = Annotated[
     ReconstructOptions | None, flags.Flags(without=("relative_albedo",), renamed={"distance_m": "distance"})
@@ -41,11 +41,11 @@ class RunFlags:
     allow: flags.Allow = ()
     sensor: SensorOptions = field(default_factory=SensorOptions)
 
-    def job(self, **fields: Any) -> ReconstructionJob:
+    def job(self, **fields: Any) -> Request:
         """Return the reconstruction of a capture; fields: its further ones."""
         require_known_checks(self.allow, CHECK_NAMES)
         own = {name: getattr(self, name) for name in ("matting", "background", "gaps", "allow", "sensor")}
-        return ReconstructionJob(**(own | fields))
+        return Request(**(own | fields))
 
 
 @flags.verb("max_megapixels")

@@ -13,12 +13,12 @@ from vntoolkit.geometry.board_layout import BoardLayout
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.results.folder import write_lock
 from vntoolkit.io.rigs import read_rig, write_rig
-from vntoolkit.pipeline.block_work import ReconstructionJob
 from vntoolkit.pipeline.calibrate import CalibrationJob, calibrate_board
 from vntoolkit.pipeline.options import ReconstructOptions
 from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.processes import processes_kept
 from vntoolkit.pipeline.reconstruct import ReconstructionSummary, reconstruct
+from vntoolkit.pipeline.request import Request
 from vntoolkit.pipeline.simulate import SimulationFolder, SimulationJob, simulate
 from vntoolkit.simulation.lights import CAMERA_DISTANCE_M
 from vntoolkit.simulation.scene import SceneOptions, build_scene
@@ -102,7 +102,7 @@ def run_demo(
             simulate(job, jobs=jobs, overwrite=overwrite, on_start=count.start, on_frame=count.advance)
             if job.scene == _BOARD:
                 _calibrate(folder, on_progress)
-        reconstruction = ReconstructionJob(
+        reconstruction = Request(
             source=str(SimulationFolder(root=folder.garment).video),
             rig=read_rig(folder.rig),
             options=ReconstructOptions(distance_m=CAMERA_DISTANCE_M),

@@ -24,12 +24,14 @@ from vntoolkit.io.results.folder import numbers_on_disk
 from vntoolkit.io.results.frame_log import FrameEntry, FrameLog
 from vntoolkit.io.results.manifest import (
     FRAME_FILES,
+    FindingEntry,
     Manifest,
     missing_files,
+    numbers_of_ranges,
     read_manifest,
     result_digest,
+    rig_of_result,
 )
-from vntoolkit.io.rigs import rig_from_entry
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import Transfer, TransferCurve, encoded_from_linear
@@ -89,6 +91,18 @@ class OpenedResult:
         """What was logged of each frame, skipped ones too."""
         return FrameLog(self.folder.root).entries()
 
+    @cached_property
+    def findings(self) -> list[FindingEntry]:
+        """What was found wrong, the gravest first: by the run, and with its files since."""
+        manifest = self.manifest
+        found = [*manifest.known.findings, *manifest.findings]
+        if not manifest.finished:
+            text = "the run was not finished: the same command goes on where it stopped"
+            found.append(FindingEntry(check="unfinished", level="warning", text=text))
+        gone = missing_files(self.folder.root, manifest, range(manifest.input.frame_count))
+        found += [FindingEntry(check="incomplete", level="warning", text=text) for text in gone]
+        return sorted(found, key=lambda finding: ("fatal", "warning", "note").index(finding.level))
+
     @property
     def lacks_background(self) -> bool:
         """Whether a background was subtracted that is not at hand now, so that `linear` holds it."""
@@ -98,7 +112,7 @@ class OpenedResult:
     def frames_to_track(self) -> tuple[int, ...]:
         """The frames asked for, up to the last that has normals and depth. Raises `BadInput` for none."""
         manifest, root = self.manifest, self.folder.root
-        asked = FrameRange.from_text(manifest.frames).numbers(manifest.input.frame_count)
+        asked = numbers_of_ranges(manifest.known.frames or [manifest.frames], manifest.input.frame_count)
         present = [n for n in asked if self.folder.has(n, "normals", "depth")]
         if not present:
             raise BadInput(
@@ -252,7 +266,7 @@ def open_result(
     return OpenedResult(
         folder=ReconstructionFolder(root=root),
         manifest=manifest,
-        rig=rig_from_entry(manifest.rig),
+        rig=rig_of_result(manifest),
         numbers=numbers,
         footage=footage,
         background=background,

@@ -77,6 +77,11 @@ class ReconstructOptions:
     integration: IntegrationOptions = field(default_factory=IntegrationOptions)
     meshing: MeshOptions = field(default_factory=MeshOptions)
 
+    @property
+    def ties_depth(self) -> bool:
+        """True if depth is computed and its free constant is fixed by a reference frame."""
+        return self.depth_offset is DepthOffset.REFERENCE and self.to is not Product.NORMALS
+
     def __post_init__(self) -> None:
         if self.distance_m is not None and not self.distance_m > 0:
             raise BadInput(f"distance: expected a positive number of metres, got {self.distance_m:g}")

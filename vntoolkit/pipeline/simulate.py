@@ -43,7 +43,7 @@ from vntoolkit.photometry.frame import lit_from_labels
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import TransferCurve
 from vntoolkit.pipeline.options import option_values
-from vntoolkit.pipeline.processes import shared_out
+from vntoolkit.pipeline.processes import map_in_processes
 from vntoolkit.simulation.head.rig import seam_lines_px
 from vntoolkit.simulation.image_formation import exposure_of_scene, light_colours_of, true_response
 from vntoolkit.simulation.lights import WAVELENGTHS_NM
@@ -119,7 +119,7 @@ def simulate(
         on_start(count, count - len(missing))
         work = partial(_begin, job if jobs == 1 else replace(job))  # a copy: built scenes cannot be sent
         moments = write_moving_mesh(job, resume, missing)
-        for place in shared_out(work, moments, min(jobs, max(1, len(missing)))):
+        for place in map_in_processes(work, moments, min(jobs, max(1, len(missing)))):
             on_frame(place)
         _write_contact_sheet(job)
         write_video(folder.video, _staged_frames(folder, count), job.built.frame_rate_hz / job.numbers.step)

@@ -283,7 +283,7 @@ class _Colours:
 
     def __init__(self, result: OpenedResult) -> None:
         self._result = result
-        self._reflectances = np.array([entry.reflectance for entry in result.manifest.materials])
+        self._reflectances = np.array([entry.reflectance for entry in result.manifest.known.materials])
         self.is_there = result.rig.gel is None and self._has_background()
         response = result.rig.response.central
         self._response = response

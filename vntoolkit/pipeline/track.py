@@ -167,7 +167,7 @@ def _paint_reader(job: TrackJob, result: OpenedResult, first: int) -> PaintReade
     except VntError as problem:
         _LOGGER.warning("paint is not tracked, relief and shape alone are: %s", problem)
         return None
-    reflectances = np.array([entry.reflectance for entry in result.manifest.materials]).reshape(-1, 3)
+    reflectances = np.array([entry.reflectance for entry in result.manifest.known.materials]).reshape(-1, 3)
 
     def paint_of(number: int, normal_map: NormalMap) -> Paint:
         return paint_of_materials(
