@@ -21,8 +21,8 @@ from scipy.spatial.transform import Rotation
 
 from vntoolkit.geometry.mesh import MeshSequence
 from vntoolkit.geometry.motion import Motion, pose_of_frame
-from vntoolkit.pipeline.dress import DressedFigure, DressOptions, dress, read_motion, read_tracked_cloth
-from vntoolkit.skinning.clock import ClockOptions, Loop
+from vntoolkit.options.dressing import ClockOptions, DressOptions, Loop
+from vntoolkit.pipeline.dress import DressedFigure, dress, read_motion, read_tracked_cloth
 from vntoolkit.skinning.gait import walking_motion
 
 FRAMES = 100

@@ -20,9 +20,8 @@ import numpy as np
 
 from vntoolkit.geometry.mesh import Mesh, MeshSequence
 from vntoolkit.io.maps_and_meshes.usd import write_usd_meshes
-from vntoolkit.pipeline.dress import DressOptions, dress, write_dressed_figure
-from vntoolkit.skinning.blending import Blend
-from vntoolkit.skinning.clock import ClockOptions, Loop
+from vntoolkit.options.dressing import Blend, ClockOptions, DressOptions, Loop
+from vntoolkit.pipeline.dress import dress, write_dressed_figure
 from vntoolkit.skinning.gait import GaitOptions, walking_motion
 
 VERTICES_ACROSS, VERTICES_DOWN = 460, 400  # 184,000

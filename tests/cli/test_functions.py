@@ -9,7 +9,7 @@ from vntoolkit.cli.functions import _words
 from vntoolkit.errors import BadInput
 from vntoolkit.io.footage.images import write_png
 from vntoolkit.io.rigs import write_rig
-from vntoolkit.shadows.detector import ShadowMethod
+from vntoolkit.options.normals import ShadowMethod
 
 MATRIX = [[0.35, -0.02, -0.5], [-0.17, 0.3, -0.48], [-0.15, -0.28, -0.52]]
 

@@ -3,14 +3,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from vntoolkit.errors import BadMesh, SolverFailed
-from vntoolkit.evaluation.mesh_comparison import (
-    Alignment,
-    AlignmentOptions,
-    align_mesh,
-    mesh_distance,
-    vertex_distances,
-)
+from vntoolkit.evaluation.mesh_comparison import align_mesh, mesh_distance, vertex_distances
 from vntoolkit.geometry.mesh import Mesh
+from vntoolkit.options.evaluation import Alignment, AlignmentOptions
 
 SIMILARITY = AlignmentOptions(free=Alignment.SIMILARITY)
 

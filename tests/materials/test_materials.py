@@ -11,7 +11,6 @@ from scipy.ndimage import gaussian_filter
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.materials import blurred_labels, pixels
-from vntoolkit.materials.blurred_labels import BlurredLabels
 from vntoolkit.materials.labelling import MaterialLabeller
 from vntoolkit.materials.reflectance import (
     Lamps,
@@ -21,7 +20,7 @@ from vntoolkit.materials.reflectance import (
     reflectance_from_fit,
 )
 from vntoolkit.materials.relighting import colours_of, relit
-from vntoolkit.materials.search import WORST_ERROR_DEG, find_materials, fitted_again, searched_frames
+from vntoolkit.materials.search import WORST_ERROR_DEG, find_materials, searched_frames
 from vntoolkit.materials.split_frame import block_size, blocks_moved, cells_of, split_frame
 from vntoolkit.normals.inversion import normals_from_frame
 from vntoolkit.photometry.frame import LinearFrame
@@ -191,30 +190,6 @@ def test_light_that_changes_slowly_over_a_subject_is_no_further_material() -> No
     assert len(find_materials(searched_frames([frame], [mask], RESPONSE))) == 1
 
 
-@pytest.mark.parametrize("seed", [1, 4, 6])
-def test_paints_in_light_that_changes_from_side_to_side_are_not_split(seed: int) -> None:
-    """A tenth more or less light at the rim than in the middle, for each lamp along another line."""
-    rng = np.random.default_rng(seed)
-    normals, mask = dome(160)
-    v, u = (np.indices(mask.shape) - 79.5) / 80.0
-    squares = rng.integers(0, 3, (8, 8))[((v + 1) * 3.99).astype(int), ((u + 1) * 3.99).astype(int)]
-    ways = rng.normal(size=(3, 2))
-    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
-    gains = np.exp(0.12 * (ways[:, 0] * u[..., None] + ways[:, 1] * v[..., None]))
-    light = np.maximum(normals @ DIRECTIONS.T, 0.0) * gains * PAINTS[squares] @ COLOURS
-    light += rng.normal(0.0, 2 * LEVEL, light.shape)
-    frame = LinearFrame((light * mask[..., None]).astype(np.float32))
-    assert len(find_materials(searched_frames([frame], [mask], RESPONSE))) == 3
-
-
-def test_materials_that_are_fitted_again_stay_in_their_order() -> None:
-    frame, _, mask = painted(sectors())
-    known = PAINTS[::-1] * np.exp([0.02, -0.01, 0.01])
-    again = fitted_again(searched_frames([frame], [mask], RESPONSE), known)
-    values = np.array([each.reflectance.values for each in again])
-    assert np.abs(np.log(values / PAINTS[::-1])).max() < 0.02
-
-
 def test_paints_that_differ_by_six_per_cent_are_two_where_lengths_are_exact() -> None:
     paints = np.array([*PAINTS[:2], PAINTS[0] * np.exp([0.06, -0.03, 0.03])])
     normals, mask = dome()
@@ -281,7 +256,8 @@ def test_mixtures_on_the_edges_of_stripes_do_not_bend_their_reflectances() -> No
 def test_one_frame_in_small_blocks_is_looked_at_where_stripes_are_narrow() -> None:
     for width, frames in ((8, 1), (16, 2)):
         frame, mask = blurred_stripes(width, 1.0)
-        assert searched_frames([frame, frame], [mask, mask], RESPONSE).count == frames
+        searched = searched_frames([frame, frame], [mask, mask], RESPONSE)
+        assert len(searched.split.lit) == pytest.approx(frames * len(mask), rel=0.05)
 
 
 def test_a_shadow_is_no_material() -> None:
@@ -513,21 +489,6 @@ def test_lines_beside_which_nothing_changed_are_left_as_deciding_them_again_woul
     assert max(reaches) == (3 if blur_px else 1)
 
 
-def test_of_two_pictures_of_labels_the_cheaper_is_taken_in_each_piece() -> None:
-    truth = sectors().astype(np.uint8)
-    frame, _, mask = painted(truth)
-    split = split_frame(frame, RESPONSE, mask)
-    labeller = BlurredLabels(split.lamps, np.log(PAINTS), pixels.Spread(0.02, 0.02))
-    truth = labeller.settled(split.colours, split.lit, truth)
-    one, other = truth.copy(), truth.copy()
-    one[40:55, 20:32] = (truth[40:55, 20:32] + 1) % 3
-    other[70:80, 80:95] = (truth[70:80, 80:95] + 1) % 3
-    seen = split.colours, split.lit
-    for pair in ((one, other), (other, one)):
-        found = labeller.with_cheaper(*seen, *pair)
-        np.testing.assert_array_equal(found[split.lit], truth[split.lit])
-
-
 def test_carried_labels_away_from_changes_are_as_deciding_them_again_leaves_them_but_for_a_few(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -542,14 +503,6 @@ def test_carried_labels_away_from_changes_are_as_deciding_them_again_leaves_them
         found.append(labeller.labels(moved, np.roll(mask, 2, axis=1)))
     assert np.mean(found[0] != first) > 0.02
     assert np.mean(found[0] != found[1]) < 1e-3
-
-
-def test_a_yarn_of_a_tartan_that_is_seen_in_small_squares_only_is_found_by_its_mixtures() -> None:
-    frame, mask = tartan(180, seed=3)
-    found = find_materials(searched_frames([frame], [mask], RESPONSE))
-    values = np.array([each.reflectance.values for each in found])
-    assert len(found) == 6
-    assert np.abs(np.log(values[:, None] / YARNS)).max(axis=2).min(axis=0).max() < 0.1
 
 
 def test_a_tartan_too_fine_for_the_blocks_of_three_frames_is_looked_at_in_one() -> None:

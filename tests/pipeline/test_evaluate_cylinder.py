@@ -10,11 +10,11 @@ from vntoolkit.cli.reconstruct import reconstruct
 from vntoolkit.cli.simulate import simulate
 from vntoolkit.errors import BadInput
 from vntoolkit.io.footage.frame_range import FrameRange
+from vntoolkit.options.normals import ShadowMethod
+from vntoolkit.options.reconstruction import Product, ReconstructOptions
+from vntoolkit.options.simulation import Nuisances
 from vntoolkit.pipeline.evaluate import evaluate_cylinder
 from vntoolkit.pipeline.opened_result import open_result
-from vntoolkit.pipeline.options import Product, ReconstructOptions
-from vntoolkit.shadows.detector import ShadowMethod
-from vntoolkit.simulation.nuisances import Nuisances
 
 NORMALS = ReconstructOptions(to=Product.NORMALS, shadows=ShadowMethod.NONE)
 FAR_LIGHTS = Nuisances().without("near_lights")

@@ -84,3 +84,7 @@ def test_a_mesh_is_measured_and_one_without_faces_is_refused(tmp_path: Path) -> 
     assert (written["distance"]["mean"], list(written["quality"])) == (pytest.approx(0.5), ["low.ply"])
     with pytest.raises(BadMesh, match=r"points.ply: expected a surface, got 100 vertices and no face"):
         evaluate_mesh(tmp_path / "points.ply", out=tmp_path / "out")
+    write_mesh(tmp_path / "none.ply", Mesh(vertices=flat[:0], faces=np.zeros((0, 3), int)))
+    for pair in (("none.ply", "low.ply"), ("low.ply", "none.ply")):
+        with pytest.raises(BadMesh, match=r"none.ply: expected a surface or points, got no vertex"):
+            evaluate_mesh(*(tmp_path / name for name in pair), out=tmp_path / "out")

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from recipes.real_objects import read_capture
 from tests.pipeline.test_reconstruct import digest
 from vntoolkit.errors import BadInput
 from vntoolkit.evaluation.angular_error import angles_between_deg
@@ -20,18 +21,17 @@ from vntoolkit.io.maps_and_meshes.maps import read_normal_map
 from vntoolkit.io.maps_and_meshes.meshes import read_mesh
 from vntoolkit.io.results.manifest import MaterialEntry, read_manifest
 from vntoolkit.materials.search import Material, find_materials
+from vntoolkit.options.normals import ShadowMethod
+from vntoolkit.options.reconstruction import MaterialSearch, Product, ReconstructOptions
 from vntoolkit.photometry.frame import LinearFrame
-from vntoolkit.photometry.response import LightResponse, with_near_lamps
+from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline import measured_materials
 from vntoolkit.pipeline.frame_processor import FrameProcessor
-from vntoolkit.pipeline.options import MaterialSearch, Product, ReconstructOptions
 from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.prepare import in_one_material
 from vntoolkit.pipeline.reconstruct import reconstruct
-from vntoolkit.pipeline.referenced_captures import read_capture
 from vntoolkit.pipeline.request import Request
-from vntoolkit.shadows.detector import ShadowMethod
 
 DIRECTIONS = np.array([[0.5, 0.0, -0.866], [-0.25, 0.433, -0.866], [-0.25, -0.433, -0.866]])
 COLOURS = np.array([[0.7, 0.1, 0.02], [0.08, 0.6, 0.1], [0.02, 0.12, 0.65]])
@@ -97,23 +97,6 @@ def test_moving_stripes_leave_no_seam(striped: Request) -> None:
         assert angles_between_deg(found.normals_in_camera[mask], normals[mask]).mean() < 2.5
 
 
-def test_paints_under_near_lamps_are_fitted_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The search knows how strong near lamps are at a pixel; with labels known, where they stand, too."""
-    job = filmed(tmp_path, PAINTS, 1, with_near_lamps(RESPONSE, 0.15, (SIZE, SIZE)))
-
-    def once(rig: Rig, options: ReconstructOptions, materials: list[MaterialEntry], *_: object) -> object:
-        return materials
-
-    off = []
-    for name in ("again", "once"):
-        reconstruct(into(job, name))
-        entries = read_manifest(tmp_path / name).known.materials
-        values = np.array([entry.reflectance for entry in entries])
-        off.append(np.abs(np.log(values[:, None] / PAINTS)).max(axis=2).min(axis=1).max())
-        monkeypatch.setattr(measured_materials, "refitted_materials", once)
-    assert off[0] < 0.5 * off[1]
-
-
 @pytest.mark.parametrize(("frames", "expected"), [(1, [0]), (2, [0, 1]), (4, [0, 1, 2]), (18, [0, 8, 16])])
 def test_frames_far_apart_are_looked_at_and_decoded_once(
     striped: Request, monkeypatch: pytest.MonkeyPatch, frames: int, expected: list[int]
@@ -126,10 +109,8 @@ def test_frames_far_apart_are_looked_at_and_decoded_once(
         return read(self, number)
 
     monkeypatch.setattr(Capture, "encoded", encoded)
-    first_frames = measured_materials.FirstFrames(footage, range(frames))
-    for _ in range(2):
-        seen = first_frames.seen(striped.rig, striped.options)
-        assert [each.name[-6:-4] for each in seen] == [f"{n:02d}" for n in expected]
+    seen = measured_materials.first_frames(striped.rig, striped.options, footage, range(frames))
+    assert [each.name[-6:-4] for each in seen] == [f"{n:02d}" for n in expected]
     assert decoded == expected
 
 

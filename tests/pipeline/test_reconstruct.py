@@ -16,20 +16,19 @@ from vntoolkit.geometry.camera import Camera
 from vntoolkit.io.footage.decoding import EncodedFrame
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.footage.images import write_png
-from vntoolkit.io.footage.mattes import MatteOptions
-from vntoolkit.io.footage.mosaics import SensorOptions
 from vntoolkit.io.maps_and_meshes.label_images import write_mask
 from vntoolkit.io.maps_and_meshes.maps import read_depth_map, read_normal_map
 from vntoolkit.io.maps_and_meshes.meshes import read_mesh
 from vntoolkit.io.results.frame_log import FrameEntry, FrameLog
 from vntoolkit.io.results.manifest import read_manifest
+from vntoolkit.options.footage import MatteOptions, SensorOptions
+from vntoolkit.options.normals import ShadowMethod
+from vntoolkit.options.reconstruction import OnError, Product, ReconstructOptions
 from vntoolkit.photometry.rig import FitQuality
 from vntoolkit.pipeline.frame_processor import FrameProcessor
-from vntoolkit.pipeline.options import OnError, Product, ReconstructOptions
 from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.reconstruct import blocks_of, reconstruct
 from vntoolkit.pipeline.request import Request
-from vntoolkit.shadows.detector import ShadowMethod
 
 
 def job_of(capture: DomeCapture, out: Path, **options: object) -> Request:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from vntoolkit.geometry.mesh import edges_from_faces
+from vntoolkit.options.simulation import SceneOptions
 from vntoolkit.simulation.garment.pattern import sew_sweater
 from vntoolkit.simulation.garment.solver import AIR_DRAG, Capsules, ClothSolver
 from vntoolkit.simulation.garment.sweater import (
@@ -14,7 +15,6 @@ from vntoolkit.simulation.garment.sweater import (
     loop_subdivision,
     raise_along_normals,
 )
-from vntoolkit.simulation.scene import SceneOptions
 
 COARSE_M = 0.03
 THICK_M = 0.02

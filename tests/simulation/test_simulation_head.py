@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from vntoolkit.geometry.mesh import vertex_normals
+from vntoolkit.options.simulation import SceneOptions
 from vntoolkit.simulation.body.spandex import build_spandex
 from vntoolkit.simulation.head import anatomy, scenes
 from vntoolkit.simulation.head.anatomy import Head, build_head, cut_slit
@@ -19,7 +20,7 @@ from vntoolkit.simulation.head.rig import (
 )
 from vntoolkit.simulation.head.scenes import Makeup, build_face_makeup
 from vntoolkit.simulation.head.sculpture import MOUTH_HEIGHT, NECK_CUT, sculpt_head
-from vntoolkit.simulation.scene import Scene, SceneOptions
+from vntoolkit.simulation.scene import Scene
 
 STILL = HeadPose()
 

@@ -10,13 +10,8 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.mesh import Mesh, MeshSequence
-from vntoolkit.skinning.clock import (
-    ClockOptions,
-    Loop,
-    clock_from_recordings,
-    resampled_motion,
-    resampled_vertices,
-)
+from vntoolkit.options.dressing import ClockOptions, Loop
+from vntoolkit.skinning.clock import clock_from_recordings, resampled_motion, resampled_vertices
 from vntoolkit.skinning.gait import GaitOptions, walking_motion
 
 

@@ -18,12 +18,17 @@ from vntoolkit.geometry.motion import Motion, Skeleton, bone_segments, pose_of_f
 from vntoolkit.geometry.rigid import RigidTransform
 from vntoolkit.io.maps_and_meshes.meshes import read_mesh
 from vntoolkit.io.motion.bvh import write_bvh
-from vntoolkit.pipeline.dress import DressedFigure, DressOptions, MotionUpAxis, dress, read_motion
-from vntoolkit.skinning.alignment import Anchor
+from vntoolkit.options.dressing import (
+    Anchor,
+    Blend,
+    ClockOptions,
+    DressOptions,
+    Garment,
+    GarmentFitOptions,
+    MotionUpAxis,
+)
+from vntoolkit.pipeline.dress import DressedFigure, dress, read_motion
 from vntoolkit.skinning.anatomy import anatomy_of, facing_of, shoulders_of
-from vntoolkit.skinning.blending import Blend
-from vntoolkit.skinning.clock import ClockOptions
-from vntoolkit.skinning.fitting import Garment, GarmentFitOptions
 from vntoolkit.skinning.gait import walking_motion
 
 WALK = Path(__file__).parents[2] / "data" / "walk.bvh"

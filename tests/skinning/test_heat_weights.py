@@ -18,13 +18,21 @@ from vntoolkit.geometry.mesh import Mesh, MeshSequence, vertex_normals
 from vntoolkit.geometry.motion import Motion, Skeleton, bone_segments, pose_of_frame, rest_pose
 from vntoolkit.geometry.rigid import RigidTransform
 from vntoolkit.io.motion.bvh import write_bvh
-from vntoolkit.pipeline.dress import DressedFigure, DressOptions, dress, read_motion
+from vntoolkit.options.dressing import (
+    ArmPose,
+    Blend,
+    ClockOptions,
+    DressOptions,
+    Falloff,
+    GarmentFitOptions,
+    Loop,
+    WeightOptions,
+)
+from vntoolkit.pipeline.dress import DressedFigure, dress, read_motion
 from vntoolkit.skinning.attachment import covered_bones, weights_of_garment
-from vntoolkit.skinning.blending import Blend, skinned_vertices
-from vntoolkit.skinning.clock import ClockOptions, Loop
-from vntoolkit.skinning.fitting import ArmPose, GarmentFitOptions
+from vntoolkit.skinning.blending import skinned_vertices
 from vntoolkit.skinning.gait import walking_motion
-from vntoolkit.skinning.weights import Falloff, WeightOptions, weights_from_distances
+from vntoolkit.skinning.weights import weights_from_distances
 
 HEAT = WeightOptions()
 PUBLISHED = WeightOptions(falloff=Falloff.INVERSE)

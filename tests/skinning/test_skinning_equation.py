@@ -11,9 +11,10 @@ from scipy.spatial.transform import Rotation
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.motion import Motion, Skeleton, bone_segments, pose_of_frame, rest_pose
 from vntoolkit.geometry.rigid import RigidTransform
-from vntoolkit.skinning.blending import Blend, dual_quaternions, skinned_vertices
+from vntoolkit.options.dressing import Blend, Falloff, WeightOptions
+from vntoolkit.skinning.blending import dual_quaternions, skinned_vertices
 from vntoolkit.skinning.gait import walking_motion
-from vntoolkit.skinning.weights import Falloff, SkinWeights, WeightOptions, weights_from_distances
+from vntoolkit.skinning.weights import SkinWeights, weights_from_distances
 
 BY_DISTANCE = (Falloff.INVERSE, Falloff.CONTINUOUS)
 PUBLISHED = WeightOptions(falloff=Falloff.INVERSE)

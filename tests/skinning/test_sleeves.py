@@ -15,10 +15,10 @@ from vntoolkit.__main__ import main
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.mesh import Mesh, MeshSequence, edges_from_faces
 from vntoolkit.geometry.motion import Motion, pose_of_frame
-from vntoolkit.pipeline.dress import DressedFigure, DressOptions, dress
+from vntoolkit.options.dressing import DressOptions, Garment, GarmentFitOptions
+from vntoolkit.pipeline.dress import DressedFigure, dress
 from vntoolkit.skinning.anatomy import anatomy_of, arms_of
 from vntoolkit.skinning.findings import DressingFindings
-from vntoolkit.skinning.fitting import Garment, GarmentFitOptions
 from vntoolkit.skinning.gait import walking_motion
 from vntoolkit.skinning.sleeves import regions_of_garment
 from vntoolkit.skinning.stretch import drawn_together

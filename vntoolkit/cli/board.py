@@ -6,7 +6,8 @@ from typing import Annotated
 from vntoolkit.cli.flags import Flags, verb
 from vntoolkit.cli.output import print_next
 from vntoolkit.geometry.board_layout import BoardLayout
-from vntoolkit.io.board_pdf import PageSize, write_board_pdf
+from vntoolkit.io.board_pdf import write_board_pdf
+from vntoolkit.options.pages import PageSize
 
 
 @verb()

@@ -9,11 +9,8 @@ import numpy as np
 from cyclopts import Parameter
 
 from vntoolkit.calibration.ball_lamps import LitBall
-from vntoolkit.calibration.board import BoardOptions
 from vntoolkit.calibration.fit import ResponseFit
-from vntoolkit.calibration.lights import LightColours
-from vntoolkit.calibration.presses import GelFit, PressOptions
-from vntoolkit.calibration.sphere import SphereOptions
+from vntoolkit.calibration.presses import GelFit
 from vntoolkit.cli import flags
 from vntoolkit.cli.output import JSON, MESH, PAGE, PICTURE, ProgressBars, print_next, require_output
 from vntoolkit.diagnosis.checks import CHECK_NAMES
@@ -24,15 +21,16 @@ from vntoolkit.errors import BadInput
 from vntoolkit.geometry.board_layout import BoardLayout
 from vntoolkit.io.footage.captures import CaptureOptions, open_capture
 from vntoolkit.io.footage.frame_range import FrameRange
-from vntoolkit.io.footage.mattes import MatteOptions
-from vntoolkit.io.footage.mosaics import SensorOptions
 from vntoolkit.io.maps_and_meshes.meshes import write_mesh
 from vntoolkit.io.rigs import read_rig, write_rig
+from vntoolkit.options.calibration import BoardOptions, LightColours, PressOptions, SphereOptions
+from vntoolkit.options.footage import MatteOptions, SensorOptions
+from vntoolkit.options.head import HeadOptions
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline import calibrate
 from vntoolkit.pipeline import calibrate_presses as pipeline
 from vntoolkit.pipeline.calibrate import CalibrationJob
-from vntoolkit.pipeline.calibrate_head import HeadOptions, calibrate_head
+from vntoolkit.pipeline.calibrate_head import calibrate_head
 
 _OF_LIGHTS = flags.Flags(without=("background", "single_light", "frames"))
 _FIT = flags.Flags(renamed={"method": "fit-method"})
@@ -42,16 +40,14 @@ SizePx: TypeAlias = Annotated[tuple[int, int] | None, Parameter(consume_multiple
 
 @dataclass(frozen=True, kw_only=True)
 class FootageFlags:
-    """What the calibrations ask of their footage.
-
-    camera: a rig.json whose camera is taken. Default: orthographic (sphere, lights), fitted to the same
-    footage (board), or of a focal length that is estimated from the turn, which is rough (head).
-    """
+    """What the calibrations ask of their footage."""
 
     background: flags.AmbientImage = None
     transfer: flags.Curve = None
     sensor: SensorOptions = field(default_factory=SensorOptions)
     camera: Path | None = None
+    """A rig.json whose camera is taken. Default: orthographic (sphere, lights), fitted to the same footage
+    (board), or of a focal length that is estimated from the turn, which is rough (head)."""
     focal_px: flags.FocalPx = None
     single_light: flags.SingleLight = None
     frames: flags.Frames = "::"

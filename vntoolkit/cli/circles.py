@@ -11,12 +11,12 @@ from cyclopts import Parameter
 from vntoolkit.cli import flags
 from vntoolkit.cli.output import ProgressBars, print_next
 from vntoolkit.errors import BadInput
-from vntoolkit.io.footage.mosaics import SensorOptions
 from vntoolkit.io.results.folder import write_lock
+from vntoolkit.options.footage import SensorOptions
+from vntoolkit.options.pages import ViewerOptions
 from vntoolkit.pipeline.calibrate_presses import PressJob
 from vntoolkit.pipeline.press_circles import PressCircles
 from vntoolkit.report.circles_page import CirclesViewer
-from vntoolkit.report.local_server import ViewerOptions
 
 
 @flags.verb("max_megapixels")

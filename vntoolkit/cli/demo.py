@@ -5,7 +5,8 @@ from typing import Annotated
 
 from vntoolkit.cli.flags import Flags, Jobs, Overwrite, verb
 from vntoolkit.cli.output import ProgressBars, print_next
-from vntoolkit.pipeline.demo import DemoFolder, DemoOptions, run_demo
+from vntoolkit.options.simulation import DemoOptions
+from vntoolkit.pipeline.demo import DemoFolder, run_demo
 from vntoolkit.pipeline.opened_result import open_result
 from vntoolkit.pipeline.truth_comparison import compare_frame_with_truth
 from vntoolkit.report.report import write_report

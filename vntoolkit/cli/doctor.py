@@ -21,8 +21,7 @@ from vntoolkit import __version__, native
 from vntoolkit.cli.flags import AmbientImage, Flags, Sensor, curve_from_text, verb
 from vntoolkit.cli.output import print_next
 from vntoolkit.errors import BadCapture
-from vntoolkit.io.footage.mattes import MatteOptions
-from vntoolkit.io.footage.mosaics import SensorOptions
+from vntoolkit.options.footage import MatteOptions, SensorOptions
 
 if TYPE_CHECKING:
     from vntoolkit.diagnosis.inspection import CaptureReport
@@ -42,7 +41,6 @@ _LIBRARIES = (
     ("pymeshlab", "pymeshlab", "mesh cleaning, distance"),
     ("pycolmap", "pycolmap", "camera poses"),
     ("usd-core", "pxr.UsdSkel", "animated meshes"),
-    ("pybvh", "pybvh", "recorded motion"),
     ("matplotlib", "matplotlib.figure", "figures"),
     ("reportlab", "reportlab.pdfgen.canvas", "the board as PDF"),
     ("jinja2", "jinja2", "pages"),
@@ -87,8 +85,8 @@ def doctor(
     from vntoolkit.diagnosis.finding import Level
     from vntoolkit.diagnosis.inspection import inspect_capture
     from vntoolkit.io.footage.captures import CaptureOptions
-    from vntoolkit.io.footage.frame_range import Gaps
     from vntoolkit.io.rigs import read_rig
+    from vntoolkit.options.footage import Gaps
 
     the_rig = None if rig is None else read_rig(rig)
     options = CaptureOptions(

@@ -11,8 +11,8 @@ from vntoolkit.cli.flags import Flags, verb
 from vntoolkit.cli.output import MESH, ProgressBars, print_next_program, require_output
 from vntoolkit.io.motion.garment_fits import read_garment_fit
 from vntoolkit.io.results.folder import read_lock, write_lock
+from vntoolkit.options.dressing import DressOptions
 from vntoolkit.pipeline.dress import (
-    DressOptions,
     captured_look,
     dress,
     read_motion,

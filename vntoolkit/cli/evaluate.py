@@ -17,10 +17,11 @@ from vntoolkit.evaluation.angular_error import AngularError
 from vntoolkit.evaluation.track_error import TrackError
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.point_cloud import PointCloud
-from vntoolkit.io.conventions import NormalConvention
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.maps_and_meshes.meshes import read_mesh
 from vntoolkit.io.results.folder import write_lock
+from vntoolkit.options.evaluation import Alignment, AlignmentOptions, MeasuredBy
+from vntoolkit.options.export import NormalConvention
 from vntoolkit.pipeline import evaluate
 from vntoolkit.pipeline.evaluate import evaluate_cylinder as run
 from vntoolkit.pipeline.opened_result import open_result
@@ -97,9 +98,9 @@ def mesh(
     mesh: Path,
     reference: Path | None = None,
     *,
-    measured_by: mesh_comparison.MeasuredBy = mesh_comparison.MeasuredBy.EMBREE,
+    measured_by: MeasuredBy = MeasuredBy.EMBREE,
     out: Out = _OUT,
-    options: Annotated[mesh_comparison.AlignmentOptions | None, Flags(renamed={"free": "align"})] = None,
+    options: Annotated[AlignmentOptions | None, Flags(renamed={"free": "align"})] = None,
 ) -> None:
     """Print the distances between a mesh and a reference, in both directions, and the quality of both.
 
@@ -118,7 +119,7 @@ def mesh(
     """
     require_output(out / "mesh.json")
     with write_lock(out):
-        options = options or mesh_comparison.AlignmentOptions()
+        options = options or AlignmentOptions()
         measured = _read(mesh)
         if reference is None and not isinstance(measured, Mesh):
             raise BadMesh(f"{mesh}: expected a surface, got {len(measured.points)} vertices and no face")
@@ -144,7 +145,7 @@ def mesh(
                 out / "mesh_curve.png", {name(mesh): percent}, f"to {name(reference)}", "% of the diagonal"
             )
             _print_distance(distance)
-            if options.free is mesh_comparison.Alignment.SIMILARITY:
+            if options.free is Alignment.SIMILARITY:
                 print(f"aligned with a scale of {motion.scale:.4f}")
         qualities = {
             each: mesh_comparison.mesh_quality(surface)
@@ -154,7 +155,7 @@ def mesh(
         write_json(out / "mesh.json", {**content, "quality": qualities})
         _print_quality(qualities)
         print(f"{out}: mesh.json" + (", mesh_curve.png" if reference else ""))
-    if reference is not None and options.free is mesh_comparison.Alignment.NONE:
+    if reference is not None and options.free is Alignment.NONE:
         print_next("evaluate", "mesh", mesh, reference, "--align", "rigid", "--out", out)
     else:
         _print_what_is_next(mesh)
@@ -170,6 +171,8 @@ def distance_summary(distance: mesh_comparison.MeshDistance) -> dict[str, object
 
 def _read(path: Path) -> mesh_comparison.Compared:
     read = read_mesh(path)
+    if not len(read.vertices):
+        raise BadMesh(f"{path}: expected a surface or points, got no vertex; export it again")
     if len(read.faces):
         return read
     return PointCloud(points=read.vertices, normals=read.normals, colours=read.colours)

@@ -10,8 +10,8 @@ from cyclopts import Parameter
 from vntoolkit.cli.flags import Flags, Footage, Frames, Overwrite, verb
 from vntoolkit.cli.output import ProgressBars, print_next, print_next_program
 from vntoolkit.io.footage.frame_range import FrameRange
-from vntoolkit.meshing.clean import CleanOptions
-from vntoolkit.pipeline.export import ExportJob, ExportOptions
+from vntoolkit.options.export import CleanOptions, ExportOptions
+from vntoolkit.pipeline.export import ExportJob
 from vntoolkit.pipeline.export import export as run
 
 _SHAPES = (".ply", ".obj", ".glb", ".usd", ".usdc")  # that other programs open

@@ -1,17 +1,18 @@
 """Command line flags, made from the option dataclasses of the stages.
 
-A dataclass is the only source of a flag's name, default and help. Its docstring documents each field as
-`name: meaning.`; the help is that text up to the next field or the end of the paragraph.
+A dataclass is the only source of a flag's name, default and help: the docstring beneath the field.
 """
 
+import ast
 import contextlib
 import dataclasses
 import functools
 import inspect
 import math
 import os
-import re
+import textwrap
 from collections.abc import Callable, Mapping
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, ParamSpec, TypeAlias, TypeVar, get_args, get_type_hints
 
@@ -19,9 +20,8 @@ from cyclopts import Parameter
 
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.rectification import Rectification
-from vntoolkit.io.files import ReadingLimits, limited_to
-from vntoolkit.io.footage.frame_range import Gaps
-from vntoolkit.io.footage.mosaics import SensorOptions
+from vntoolkit.io.files import limited_to
+from vntoolkit.options.footage import Gaps, ReadingLimits, SensorOptions
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import Transfer
 
@@ -225,26 +225,24 @@ def _is_same(one: Path | str, other: Path | str) -> bool:
 
 
 def meanings_of_fields(options: type[Any]) -> dict[str, str]:
-    """Return the documentation of each field of an option class; raise `KeyError` where one is missing."""
-    paragraphs = re.split(r"\n\s*\n", inspect.cleandoc(options.__doc__ or ""))
-    names = [field.name for field in dataclasses.fields(options)]
-    # `name:` or `first, second:` starts a field's sentence
-    start = re.compile(rf"(?<![\w`])((?:{'|'.join(names)})(?:, (?:{'|'.join(names)}))*): ")
-    meanings: dict[str, str] = {}
-    for text in (" ".join(paragraph.split()) for paragraph in paragraphs):
-        marks = list(start.finditer(text))
-        for mark, following in zip(marks, [*marks, None][1:], strict=True):
-            sentence = text[mark.end() : following.start() if following else len(text)].strip()
-            for name in mark[1].split(", "):
-                meanings.setdefault(name, sentence.rstrip("."))
+    """Return the docstring beneath each field of an option class; raise `KeyError` where one is missing."""
+    body = ast.parse(textwrap.dedent(inspect.getsource(options))).body[0]
+    assert isinstance(body, ast.ClassDef)
+    meanings = {
+        field.target.id: " ".join(below.value.value.split()).rstrip(".")
+        for field, below in pairwise(body.body)
+        if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name)
+        if isinstance(below, ast.Expr) and isinstance(below.value, ast.Constant)
+        if isinstance(below.value.value, str)
+    }
     missing = [
         name
         for name, hint in get_type_hints(options, include_extras=True).items()
-        if name in names and name not in meanings
+        if name in {field.name for field in dataclasses.fields(options)} and name not in meanings
         if not (dataclasses.is_dataclass(hint) or hasattr(hint, "__metadata__"))  # with a help of its own
     ]
     if missing:
-        raise KeyError(f"{options.__name__}: the docstring does not document {', '.join(missing)}")
+        raise KeyError(f"{options.__name__}: no docstring beneath {', '.join(missing)}")
     return meanings
 
 

@@ -20,15 +20,15 @@ from vntoolkit.errors import BadInput, VntError
 from vntoolkit.geometry.rectification import Rectification
 from vntoolkit.io.footage.captures import CaptureOptions, open_capture
 from vntoolkit.io.footage.decoding import EncodedFrame
-from vntoolkit.io.footage.mattes import MatteOptions
 from vntoolkit.io.maps_and_meshes.label_images import read_mask
 from vntoolkit.io.rigs import read_rig
 from vntoolkit.live import capture
 from vntoolkit.live.frames import FrameView, LiveProcessor, LiveResult
 from vntoolkit.live.page import LiveViewer
+from vntoolkit.options.footage import MatteOptions
+from vntoolkit.options.normals import ShadowMethod
+from vntoolkit.options.pages import CameraOptions, ViewerOptions
 from vntoolkit.photometry.rig import Rig
-from vntoolkit.report.local_server import ViewerOptions
-from vntoolkit.shadows.detector import ShadowMethod
 
 _GREY = 128
 _LATE_FRAMES = 1.5  # intervals between frames; a result that took longer is late
@@ -55,7 +55,7 @@ def live(
     record_to: Path = Path(),
     seconds: float | None = None,
     allow: flags.Allow = (),
-    asked: Annotated[capture.CameraOptions | None, flags.Flags()] = None,
+    asked: Annotated[CameraOptions | None, flags.Flags()] = None,
     viewer: Annotated[ViewerOptions | None, flags.Flags()] = None,
 ) -> None:
     """Watch normals and a turning, relit surface in a browser while filming.
@@ -178,7 +178,7 @@ def _watch(
 
 
 def _source(
-    camera: int | None, video: Path | None, realtime: bool, asked: capture.CameraOptions | None, rig: Rig
+    camera: int | None, video: Path | None, realtime: bool, asked: CameraOptions | None, rig: Rig
 ) -> capture.LiveSource:
     if (camera is None) == (video is None):
         raise BadInput("live: expected either --camera NUMBER or --video FILE")

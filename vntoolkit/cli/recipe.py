@@ -1,5 +1,6 @@
 """`vntoolkit recipe list|run`: the experiments of the paper, one script each."""
 
+import difflib
 import logging
 import runpy
 import sys
@@ -48,7 +49,9 @@ def run(
         return
     found = recipes()
     if name not in found:
-        raise BadInput(f"recipe '{name}': expected all, or one of {', '.join(found)}")
+        close = difflib.get_close_matches(name, found, n=1)
+        hint = f"; did you mean {close[0]}?" if close else ""
+        raise BadInput(f"recipe '{name}': expected all, or one of {', '.join(found)}{hint}")
     understood = list(arguments)
     if "--quick" in arguments and '"--quick"' not in found[name].read_text("utf-8"):
         print(f"{name} has no shorter form: it runs in full")

@@ -11,13 +11,12 @@ from vntoolkit.diagnosis.checks import CHECK_NAMES
 from vntoolkit.diagnosis.finding import require_known_checks
 from vntoolkit.errors import BadCapture
 from vntoolkit.io.footage.captures import CaptureOptions, open_capture
-from vntoolkit.io.footage.frame_range import FrameRange, Gaps
-from vntoolkit.io.footage.mattes import MatteOptions
-from vntoolkit.io.footage.mosaics import SensorOptions
+from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.rigs import read_rig
+from vntoolkit.options.footage import Gaps, MatteOptions, SensorOptions
+from vntoolkit.options.reconstruction import ReconstructOptions
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import Transfer
-from vntoolkit.pipeline.options import ReconstructOptions
 from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.reconstruct import ReconstructionSummary
 from vntoolkit.pipeline.reconstruct import reconstruct as run

@@ -9,8 +9,9 @@ from cyclopts import Parameter
 from vntoolkit.cli.flags import Flags, verb
 from vntoolkit.cli.output import PAGE, print_next, require_output
 from vntoolkit.io.results.manifest import read_manifest
+from vntoolkit.options.pages import ReportOptions
 from vntoolkit.pipeline.opened_result import open_result
-from vntoolkit.report.report import ReportOptions, content_of_report, write_report
+from vntoolkit.report.report import content_of_report, write_report
 
 
 @verb("max_megapixels", "max_vertices")

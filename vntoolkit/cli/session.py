@@ -11,10 +11,10 @@ from vntoolkit.cli.reconstruct import ReconstructFlags, RunFlags
 from vntoolkit.errors import BadInput, VntError
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.rigs import read_rig
-from vntoolkit.pipeline.options import Product, ReconstructOptions
+from vntoolkit.options.reconstruction import Product, ReconstructOptions
+from vntoolkit.options.tracking import Tracker, TrackingOptions
 from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.session import CaptureOutcome, names_from_sources, run_session
-from vntoolkit.tracking.options import Tracker, TrackingOptions
 
 
 @flags.verb("max_megapixels")

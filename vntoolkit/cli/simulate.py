@@ -12,11 +12,10 @@ from vntoolkit.cli.flags import Flags, Frames, Jobs, Overwrite, verb
 from vntoolkit.cli.output import ProgressBars, print_next
 from vntoolkit.errors import BadInput
 from vntoolkit.io.footage.frame_range import FrameRange
+from vntoolkit.options.simulation import Nuisances, RenderOptions, SceneOptions
 from vntoolkit.pipeline.simulate import SimulationFolder, SimulationJob
 from vntoolkit.pipeline.simulate import simulate as run
-from vntoolkit.simulation.nuisances import Nuisances
-from vntoolkit.simulation.render import RenderOptions
-from vntoolkit.simulation.scene import SCENES, SceneOptions
+from vntoolkit.simulation.scene import SCENES
 
 _FLAGS = Flags(without=("width", "height"), renamed={"field_width_m": "field-width"})
 _MOST_MEGAPIXELS = 200  # as readers take by default

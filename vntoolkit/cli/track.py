@@ -11,12 +11,11 @@ from vntoolkit.cli.flags import Flags, Footage, Overwrite, verb
 from vntoolkit.cli.output import ProgressBars, print_next
 from vntoolkit.errors import BadInput
 from vntoolkit.io.results.seams import read_seams
+from vntoolkit.options.tracking import CheckerboardOptions, TrackingOptions
 from vntoolkit.pipeline.checkerboard import write_checkerboard
 from vntoolkit.pipeline.texture import write_texture
 from vntoolkit.pipeline.track import TrackJob
 from vntoolkit.pipeline.track import track as run
-from vntoolkit.tracking.checkerboard import CheckerboardOptions
-from vntoolkit.tracking.options import TrackingOptions
 
 
 @verb("max_megapixels", "max_vertices")

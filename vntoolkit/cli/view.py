@@ -7,9 +7,9 @@ from typing import Annotated
 from vntoolkit.cli.flags import Flags, Footage, Frames, verb
 from vntoolkit.cli.output import PAGE, print_next, progress_bar, require_output
 from vntoolkit.io.footage.frame_range import FrameRange
+from vntoolkit.options.pages import ScenePageOptions, ViewerOptions
 from vntoolkit.pipeline.opened_result import open_result
-from vntoolkit.report.local_server import ViewerOptions
-from vntoolkit.report.result_scene import ResultViewer, ScenePageOptions, counted, write_scene
+from vntoolkit.report.result_scene import ResultViewer, counted, write_scene
 
 
 @verb("max_megapixels", "max_vertices")

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 from numba import prange
-from scipy.ndimage import label, maximum_filter, minimum_filter
 
 from vntoolkit.arrays import FloatArray, Mask, Points
 from vntoolkit.materials.mixtures import CHUNK_PX, blur_weights, fill_means, room_for, wide_weights
@@ -36,7 +35,6 @@ _FIRST_BLUR_PX = 1.0  # of a lens and a Bayer pattern; sharper pictures show it,
 _SEAM_PRICE = 1.0  # of two pixels of two materials side by side
 _SHARED = 4.0  # pixels that share their errors: texture and blur reach over 2 × 2
 _BLOCK_PX, _BLOCK_SWEEPS, _SWEEPS = 4, 1, 5
-_LEAST_PIECE_PX = 3
 _LOOK_PX = 2  # beside a block for labels that it may get
 _ENOUGH = 0.01  # share of the pixels beside seams that change when all is settled
 _LEAST_STEP = 0.01  # of log s from pixel to pixel
@@ -91,42 +89,6 @@ class BlurredLabels:
         near: (h, w), at least what is within MARGIN_PX of a seam.
         """
         return self._decided(values, lit, labels, near, 0, 1)
-
-    def with_cheaper(
-        self, values: FloatArray, lit: Mask, labels: MaterialLabels, others: MaterialLabels
-    ) -> MaterialLabels:
-        """Return labels (h, w), settled ones, with others in each piece in which those, settled, cost less.
-
-        Pieces narrower than a few pixels are left out: labels are settled so far already.
-        """
-        differ = (labels != others) & lit
-        joined = maximum_filter(differ, _LEAST_PIECE_PX)  # messages may reach every third pixel of a patch
-        pieces, count = label(joined)
-        is_wide = np.zeros(count + 1, np.bool_)
-        is_wide[pieces[minimum_filter(joined, 2 * _LEAST_PIECE_PX - 1)]] = True
-        differ &= is_wide[pieces]
-        if not differ.any():
-            return labels
-        near = maximum_filter(differ, 2 * (_BLOCK_PX + MARGIN_PX) + 1)
-        other = np.where(differ, others, labels)
-        other = self._decided(values, lit, other, near, _BLOCK_SWEEPS, _SWEEPS)
-        # As far as a label is felt: by its blur, and the step beyond.
-        pieces, count = label(maximum_filter(labels != other, 2 * (_REACH_PX + 1) + 1))
-        more = self._prices(values, lit & near, other) - self._prices(values, lit & near, labels)
-        is_cheaper = np.bincount(pieces.ravel(), more.ravel(), count + 1) < 0.0
-        is_cheaper[0] = False
-        return np.where(is_cheaper[pieces], other, labels)
-
-    def _prices(self, values: FloatArray, lit: Mask, labels: MaterialLabels) -> Single:
-        """(h, w), nats of each lit pixel's length, and of the steps and seams to its right and below."""
-        split, rho, haze, inverse = self._in_single()
-        weights = blur_weights(self.seams.blur_px, _REACH_PX).astype(np.float32)
-        state, out = self._room_for(lit.shape), np.zeros(lit.shape, np.float32)
-        _mix_all(values, labels, lit, split, rho, wide_weights(weights), state)
-        _price_all(
-            labels, lit, state, haze, inverse, self._precision_of_lengths, np.float32(self._precision), out
-        )
-        return out
 
     def _in_single(self) -> tuple[Single, Single, Single, Single]:
         """Return split, ρ, haze and L⁻¹ in single precision."""
@@ -235,40 +197,6 @@ def _mix_all(values: Any, labels: Any, wanted: Any, split: Any, rho: Any, weight
                 state[3 + k, v, u : u + stop] = room[1][part]
                 state[6 + k, v, u : u + stop] = logs[part]
             u += CHUNK_PX
-
-
-@njit(cache=True, parallel=True, error_model="numpy")
-def _price_all(
-    labels: Any, lit: Any, state: Any, haze: Any, inverse: Any, length: Any, precision: Any, out: Any
-) -> None:
-    """Fill out (h, w) with the price of each lit pixel's length and of the steps to its right and below.
-
-    state: of `_mix_all`, of the same labels; all numbers in single precision.
-    """
-    h, w = labels.shape
-    for v in prange(h):
-        normal = np.empty(3, np.float32)
-        for u in range(w):
-            if not lit[v, u]:
-                continue
-            for i in range(3):
-                normal[i] = _NONE
-                for k in range(3):
-                    normal[i] += inverse[i, k] * (state[k, v, u] / state[3 + k, v, u] - haze[k])
-            e = np.sqrt(normal[0] * normal[0] + normal[1] * normal[1] + normal[2] * normal[2]) - _ONE
-            t = e * e * length
-            total = _HALF * _MOST * t / (_MOST + t)
-            for way in range(2):
-                a, b = v + way, u + 1 - way
-                if a >= h or b >= w or not lit[a, b]:
-                    continue
-                t = _NONE
-                for k in range(6, 9):
-                    step = state[k, a, b] - state[k, v, u]
-                    t += step * step * precision
-                total += _HALF * _MOST * t / (_MOST + t)
-                total += np.float32(_SEAM_PRICE) * (labels[a, b] != labels[v, u])
-            out[v, u] = total
 
 
 @njit(cache=True)

@@ -31,7 +31,7 @@ from vntoolkit.materials.pixels import (
 from vntoolkit.materials.reflectance import CAP
 from vntoolkit.materials.region_lengths import Lengths, lengths_of
 from vntoolkit.materials.regions import SHADING_STEP, Regions, regions_of
-from vntoolkit.materials.relighting import box_of, red_beside_seams, relit
+from vntoolkit.materials.relighting import box_of, relit
 from vntoolkit.materials.split_frame import CELL, SplitFrame, block_size, blocks_moved, cells_of, split_frame
 from vntoolkit.native import njit
 from vntoolkit.photometry.frame import LinearFrame
@@ -43,8 +43,6 @@ _LEAST_SPREAD = 0.005  # of lengths: reflectances are known no better
 _FIRST_SPREAD = 0.04
 _SEAM_PRICE = 1.0  # of a neighbour of another material, where the reflectances are known
 _SWEEPS = 12
-_PATCH_SWEEPS = 4
-_MESSAGE_ROUNDS = 5
 _DOUBTFUL = 1.5  # price of a region from which its pixels are decided one by one …
 _BESIDE = 4  # … and those that near to a seam
 # Share of the pixels of a frame that is decided as a whole: in later frames what costs more is doubtful.
@@ -110,9 +108,8 @@ class MaterialLabeller:
         self._coarse: PixelLabeller | None = None
         self._beside_seams: BlurredLabels | None = None
         self._fine: BlurredLabels | None = None
-        self._red: tuple[int, int] | None = None
         self._like: SplitFrame | None = None  # of its blocks and noise are all frames
-        self._kept: tuple[Any, ...] = (None,) * 5
+        self._kept: tuple[Any, ...] = (None,) * 4
         self._reference: _Decided | None = None
         self._found: MaterialLabels = np.empty((0, 0), np.uint8)
         self.turned_deg: npt.NDArray[np.float32] | None = None  # by paint that was taken out last
@@ -129,7 +126,7 @@ class MaterialLabeller:
         The frame itself, where a sequence starts with it, has the labels that it has now.
         """
         if self._fine is not None:
-            self._kept = self._like, self._coarse, self._beside_seams, self._fine, self._red
+            self._kept = self._like, self._coarse, self._beside_seams, self._fine
         if self._before is not None and self._split is not None:
             self._reference = _Decided(
                 self._split, self._before.copy(), self._found.copy(), self._doubtful, self._mean_price
@@ -141,7 +138,7 @@ class MaterialLabeller:
         What the first frame told this one of noise, blur and lengths holds for it, too, as do its labels.
         """
         other = MaterialLabeller(self._response, reflectances)
-        other._like, other._red, other._reference = self._like, self._red, self._reference
+        other._like, other._reference = self._like, self._reference
         other._coarse = self._coarse and self._coarse.with_logs(other._logs)
         other._beside_seams = self._beside_seams and self._beside_seams.with_logs(other._logs)
         other._fine = self._fine and self._fine.with_logs(other._logs)
@@ -151,14 +148,14 @@ class MaterialLabeller:
     def forget(self) -> None:
         """Drop the labels of the frame before, so that a sequence may start anywhere."""
         self._before = self._split = self._box = self._cells = self._decided = self._surface = None
-        self._like, self._coarse, self._beside_seams, self._fine, self._red = self._kept
+        self._like, self._coarse, self._beside_seams, self._fine = self._kept
 
     def labels(self, frame: LinearFrame, mask: Mask) -> MaterialLabels:
         """Return (h, w), numbers of the materials; 0 outside the mask. mask: (h, w)."""
         if len(self._logs) == 1 or not mask.any():
             return np.zeros(mask.shape, np.uint8)
         if self._split is None and self._like is not None and self._like.factor != block_size(mask):
-            self._like = self._coarse = self._beside_seams = self._fine = self._red = None
+            self._like = self._coarse = self._beside_seams = self._fine = None
         labels = np.zeros(mask.shape, np.uint8)
         box = self._boxed(mask)
         inside = np.ascontiguousarray(mask[box])
@@ -166,7 +163,6 @@ class MaterialLabeller:
             part = LinearFrame(rgb=frame.rgb[box], clipped=frame.clipped[box])
         else:
             part = self._leveller.part_by_strength(frame, box)
-        is_first = self._like is None
         split = split_frame(part, self._response, inside, like=self._like)
         cells = cells_of(split.colours)
         moved, since = (
@@ -182,9 +178,6 @@ class MaterialLabeller:
             self._doubtful, self._mean_price = known.doubtful, known.mean_price
             return known.of_pixels.copy()
         labels[box] = self._labels(part, inside, split, moved)
-        if is_first:
-            seen = frame, self._response, labels, self._reflectances
-            self._red = None if self.seams is None else red_beside_seams(*seen, self.seams, mask)
         self._found = labels
         return labels
 
@@ -233,13 +226,12 @@ class MaterialLabeller:
             around = (slice(0, len(mask)), slice(0, mask.shape[1])) if box is None else self._boxed(mask)
             paint = self._pigments, self._camera, self._plain, around, self._surface
             frame, self.turned_deg, self._surface = without_paint(*seen, *paint)
-            seams = seams and seams._replace(red=None)  # what is left is not what was measured
         return relit(frame, self._response, labels, self._reflectances, seams=seams, mask=mask, box=box)
 
     @property
     def seams(self) -> Seams | None:
         """How pixels beside seams are mixtures; None before a frame is labelled, and for one material."""
-        return None if self._fine is None else self._fine.seams._replace(red=self._red)
+        return None if self._fine is None else self._fine.seams
 
     def left_at_seams(self, frame: LinearFrame, mask: Mask, labels: MaterialLabels) -> float:
         """Return the share of the steps of normals at seams that remains, against one material all over.
@@ -375,10 +367,7 @@ class MaterialLabeller:
         found = self._coarse.decided(coarse, active)
         if self._beside_seams is None:
             self._beside_seams = BlurredLabels(split.lamps, self._logs, self._coarse.spread)
-        at_once = self._coarse.decided_at_once(coarse, active)
-        seen = split.colours, split.lit
-        found = self._beside_seams.settled(*seen, found)
-        found = self._beside_seams.with_cheaper(*seen, found, at_once)
+        found = self._beside_seams.settled(split.colours, split.lit, found)
         paid = self._coarse.prices(found)[split.lit].astype(np.float64)
         self._doubtful = float(np.quantile(paid, 1.0 - _DOUBTFUL_SHARE)) if paid.size else np.inf
         self._mean_price = float(paid.mean()) if paid.size else np.inf
@@ -463,19 +452,12 @@ def agreed(
 
     seam: price of a neighbour of another material, however well the step fits. start: (n,) labels.
 
-    Without a start by messages along trees (kolmogorov2006); then iterated conditional modes (besag1986), of
-    regions and of patches of regions of one label.
+    By iterated conditional modes (besag1986), from the labels of least price where there is no start.
     """
     weights = regions.sizes / INDEPENDENT_PX
     edges = regions.starts, regions.neighbours, regions.steps, regions.contacts
-    if start is None:
-        labels = _by_messages(costs * weights[:, None], logs, *edges, regions.twins, seam, _MESSAGE_ROUNDS)
-    else:
-        labels = start.astype(np.int64)
-    for _ in range(_PATCH_SWEEPS):
-        _agree(costs, weights, labels, logs, *edges, seam, _SWEEPS)
-        if not _turn_patches(costs, weights, labels, logs, *edges, seam):
-            break
+    labels = costs.argmin(axis=1) if start is None else start.astype(np.int64)
+    _agree(costs, weights, labels, logs, *edges, seam, _SWEEPS)
     return labels
 
 
@@ -510,56 +492,6 @@ def _add_steps(edge: int, steps: Any, contacts: Any, logs: Any, of: int, seam: f
 
 
 @njit(cache=True, error_model="numpy")
-def _by_messages(
-    unary: Any, logs: Any, starts: Any, neighbours: Any, steps: Any, contacts: Any, twins: Any, seam: float,
-    rounds: int,
-) -> Any:  # fmt: skip
-    """Labels (n,) of little cost: sequential tree-reweighted messages. twins: (e,), the same step back."""
-    n, count = unary.shape
-    across = np.ascontiguousarray(logs.T)
-    messages = np.zeros((neighbours.size, count))  # of edge e: from its neighbour to its source
-    pair = np.zeros((neighbours.size, count, count))  # of edge e: of each label at its end, for each here
-    for e in range(neighbours.size):
-        for b in range(count):
-            _add_steps(e, steps, contacts, across, b, seam, pair[e, b])
-    labels = np.zeros(n, np.int64)
-    belief, source = np.empty(count), np.empty(count)
-    for r in range(2 * rounds):
-        ahead = r % 2 == 0
-        for k in range(n):
-            i = k if ahead else n - 1 - k
-            earlier = 0
-            for m in range(count):
-                belief[m] = unary[i, m]
-            for e in range(starts[i], starts[i + 1]):
-                earlier += neighbours[e] < i
-                for m in range(count):
-                    belief[m] += messages[e, m]
-            share = 1.0 / max(earlier, starts[i + 1] - starts[i] - earlier, 1)
-            for e in range(starts[i], starts[i + 1]):
-                if (neighbours[e] > i) != ahead:
-                    continue
-                for m in range(count):
-                    source[m] = share * belief[m] - messages[e, m]
-                back = twins[e]
-                sent, prices = messages[back], pair[back]
-                sent[:] = np.inf
-                for a in range(count):
-                    for b in range(count):
-                        cost = source[a] + prices[a, b]
-                        sent[b] = cost if cost < sent[b] else sent[b]
-                sent -= sent.min()
-    for i in range(n):
-        for m in range(count):
-            belief[m] = unary[i, m]
-        for e in range(starts[i], starts[i + 1]):
-            for m in range(count):
-                belief[m] += pair[e, labels[neighbours[e]], m] if neighbours[e] < i else messages[e, m]
-        labels[i] = belief.argmin()
-    return labels
-
-
-@njit(cache=True, error_model="numpy")
 def _agree(
     costs: Any, weights: Any, labels: Any, logs: Any, starts: Any, neighbours: Any, steps: Any, contacts: Any,
     seam: float, sweeps: int,
@@ -585,54 +517,6 @@ def _agree(
                     waits[neighbours[e]] = True
         if not changed:
             break
-
-
-@njit(cache=True, error_model="numpy")
-def _turn_patches(
-    costs: Any,
-    weights: Any,
-    labels: Any,
-    logs: Any,
-    starts: Any,
-    neighbours: Any,
-    steps: Any,
-    contacts: Any,
-    seam: float,
-) -> bool:
-    """Give whole patches of one label another where that costs less; return whether any changed."""
-    n, count = costs.shape
-    patch = np.full(n, -1, np.int64)
-    queue = np.empty(n, np.int64)
-    across, total = np.ascontiguousarray(logs.T), np.empty(count)
-    changed = False
-    for first in range(n):
-        if patch[first] >= 0:
-            continue
-        own = labels[first]
-        patch[first] = first
-        queue[0] = first
-        size, done = 1, 0
-        total[:] = 0.0
-        while done < size:
-            i = queue[done]
-            done += 1
-            for m in range(count):
-                total[m] += weights[i] * costs[i, m]
-            for e in range(starts[i], starts[i + 1]):
-                j = neighbours[e]
-                b = labels[j]
-                if b == own and patch[j] < 0:
-                    patch[j] = first
-                    queue[size] = j
-                    size += 1
-                if patch[j] != first:
-                    _add_steps(e, steps, contacts, across, b, seam, total)
-        best = total.argmin()
-        if best != own and total[best] < total[own] - 1e-9:
-            changed = True
-            for k in range(size):
-                labels[queue[k]] = best
-    return changed
 
 
 @njit(cache=True, error_model="numpy")

@@ -4,8 +4,7 @@ Divided by its reflectance, a pixel tells the light on it. Noise makes that unce
 does the mixture beside a seam: where a seam runs is known to a part of a pixel, and for each lamp apart,
 since a Bayer pattern sees each elsewhere. But what is printed on a surface is no relief: light goes on from
 the pixels around, as evenly as inside a material. And normals have length 1, as far as they do not scatter.
-All of these are weighed by their variances. What a Bayer pattern left out is interpolated from light, not
-from colours (`mosaic`). Loops go along rows, many pixels at a time: their arrays are
+All of these are weighed by their variances. Loops go along rows, many pixels at a time: their arrays are
 planes in single precision.
 """
 
@@ -17,15 +16,13 @@ import numpy as np
 from numba import prange
 
 from vntoolkit.materials.mixtures import CHUNK_PX, fill_largest, fill_means, places_in_room, room_for
-from vntoolkit.materials.mosaic import REACH_PX as BETWEEN_PX
-from vntoolkit.materials.mosaic import interpolate, take_measured
 from vntoolkit.materials.pixels import scattering
 from vntoolkit.materials.reflectance import CAP
 from vntoolkit.native import njit
 
 _STRIP = 32  # rows that are done together, with those around that reach into them
 REACH_PX = 2  # over which pixels tell each other's light
-_ROWS, _MEASURED = 2 * REACH_PX + BETWEEN_PX + 1, 2 * BETWEEN_PX + 1  # that are held at a time
+_ROWS = 2 * REACH_PX + 1  # that are held at a time
 _UNSURE = np.float32(0.3**2)  # variance of a pixel's share of a seam, over the product of both shares
 _FEWEST = np.float32(1e-6)  # share of the pixels around that tell light
 _NONE, _ONE, _TINY = np.float32(0.0), np.float32(1.0), np.float32(1e-12)
@@ -40,7 +37,7 @@ _LIGHT, _FIRST, _SECOND, _OWN, _OTHER = places_in_room()
 @njit(cache=True, parallel=True, error_model="numpy")
 def take_likeliest(
     rgb: Any, labels: Any, near: Any, mask: Any, of_lamps: Any, rho: Any, blur: Any, around: Any,
-    variances: Any, noise: Any, red: Any, box: Any, out: Any,
+    variances: Any, noise: Any, box: Any, out: Any,
 ) -> None:  # fmt: skip
     """Fill out (h, w, 3), colours as they would be in the calibration material, within a box; 0 beyond.
 
@@ -48,7 +45,7 @@ def take_likeliest(
     others' light. of_lamps: w, L⁻¹, split and its inverse. rho: (m, 3). blur, around: weights of
     `wide_weights`, of the picture's blur in full and REACH_PX to either side. variances: of the step of log
     light from pixel to pixel, and of normals' lengths. noise: (3,), variance of the lamps' contributions.
-    red: of `red_of_mosaic`; (-1, -1) where every pixel measured all colours. Numbers in single precision.
+    Numbers in single precision.
     """
     top, bottom, left, right = box
     count = (bottom - top + _STRIP - 1) // _STRIP
@@ -62,7 +59,7 @@ def take_likeliest(
     for i in prange(count):
         first = top + i * jump % count * _STRIP
         _take_strip(
-            rgb, labels, near, mask, of_lamps, rho, blur, around, variances, noise, red, first,
+            rgb, labels, near, mask, of_lamps, rho, blur, around, variances, noise, first,
             min(first + _STRIP, bottom), box, out,
         )  # fmt: skip
 
@@ -70,29 +67,26 @@ def take_likeliest(
 @njit(cache=True, error_model="numpy")
 def _take_strip(
     rgb: Any, labels: Any, near: Any, mask: Any, of_lamps: Any, rho: Any, blur: Any, around: Any,
-    variances: Any, noise: Any, red: Any, first: int, last: int, box: Any, out: Any,
+    variances: Any, noise: Any, first: int, last: int, box: Any, out: Any,
 ) -> None:  # fmt: skip
-    h, w = labels.shape
-    beyond = BETWEEN_PX if red[0] >= 0 else 0
-    reach = REACH_PX + beyond
-    above, below = max(first - reach, 0), min(last + reach, h)
+    h = len(labels)
+    above, below = max(first - REACH_PX, 0), min(last + REACH_PX, h)
     left, right = _extent(mask, max(above, box[0]), min(below, box[1]), box[2], box[3])
     for v in range(first, last):
         out[v, box[2] : left] = _NONE
         out[v, right : box[3]] = _NONE
-    begin, end = max(left - beyond, 0), min(right + beyond, w)
+    begin, end = left, right
     width = (end - begin + CHUNK_PX - 1) // CHUNK_PX
     rows = np.empty((_ROWS, width, _PLANES * CHUNK_PX), np.float32)  # the last ones, chunk by chunk
     columns = np.zeros((4, width * CHUNK_PX + 2 * REACH_PX), np.float32)
-    measured = np.zeros((_MEASURED, width * CHUNK_PX + 2 * BETWEEN_PX), np.float32)
     line, room = np.empty((_PLANES + 4) * CHUNK_PX, np.float32), room_for(len(rho))
     room[1][:] = _ONE  # beyond the last pixel of a row, too, all is finite
-    for ahead in range(first - reach, last + reach):
-        now, seen = rows[ahead % _ROWS], measured[ahead % _MEASURED]
-        now[:], seen[:] = _NONE, _NONE
+    for ahead in range(first - REACH_PX, last + REACH_PX):
+        now = rows[ahead % _ROWS]
+        now[:] = _NONE
         for u in range(begin, end if above <= ahead < below else begin, CHUNK_PX):
             stop = min(u + CHUNK_PX, end)
-            if not _any_around(mask, ahead, u, stop, beyond):
+            if not _any(mask[ahead, u:stop]):
                 continue
             _split(rgb[ahead, u:stop], of_lamps[2], room[1])
             if _any(near[ahead, u:stop]):
@@ -103,21 +97,7 @@ def _take_strip(
                 _fill_plain(labels[ahead, u:stop], rho, room[1])
             light = now[(u - begin) // CHUNK_PX]
             _weigh(mask[ahead, u:stop], noise, variances[0], room[1], light)
-            if beyond:
-                colour, odd = _own_colour(ahead, u, red)
-                to = seen[u - begin + BETWEEN_PX : stop - begin + BETWEEN_PX]
-                take_measured(light, CHUNK_PX, of_lamps[3], colour, odd, to)
-        v = ahead - beyond
-        between = beyond and max(first - REACH_PX, BETWEEN_PX) <= v < h - BETWEEN_PX
-        for u in range(begin, end if between else begin, CHUNK_PX):
-            stop = min(u + CHUNK_PX, end)
-            if _any(mask[v, u:stop]):
-                colour, odd = _own_colour(v, u, red)
-                interpolate(
-                    measured, v, u - begin, of_lamps[2], colour, odd, max(BETWEEN_PX - u, 0),
-                    min(stop, w - BETWEEN_PX) - u, CHUNK_PX, rows[v % _ROWS, (u - begin) // CHUNK_PX],
-                )  # fmt: skip
-        v -= REACH_PX
+        v = ahead - REACH_PX
         if v < first:
             continue
         for i in range(width):
@@ -132,27 +112,11 @@ def _take_strip(
 
 
 @njit(cache=True)
-def _own_colour(v: int, u: int, red: Any) -> Any:
-    """Return which of red and blue, 0 or 2, a row measures, and 1 where the pixel at u measured green."""
-    is_blue = (v + red[0]) % 2
-    return 2 * is_blue, (u + red[1] + is_blue) % 2
-
-
-@njit(cache=True)
 def _any(flags: Any) -> bool:
     found = False
     for j in range(len(flags)):
         found |= flags[j]
     return found
-
-
-@njit(cache=True)
-def _any_around(flags: Any, v: int, start: int, stop: int, beyond: int) -> bool:
-    """True where flags (h, w) have one in a part of a row, or beside it."""
-    for a in range(max(v - beyond, 0), min(v + beyond + 1, len(flags))):
-        if _any(flags[a, max(start - beyond, 0) : stop + beyond]):
-            return True
-    return False
 
 
 @njit(cache=True)

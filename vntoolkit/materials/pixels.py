@@ -14,7 +14,6 @@ import numpy.typing as npt
 from numba import prange
 
 from vntoolkit.arrays import FloatArray, Mask, Points
-from vntoolkit.materials.messages import labels_by_messages
 from vntoolkit.materials.mixtures import MOST_REACH_PX, blur_weights
 from vntoolkit.materials.reflectance import CAP, Lamps, bias_of_noise, length_and_variance
 from vntoolkit.native import njit
@@ -33,7 +32,6 @@ _INFINITE = np.float32(np.inf)
 SERIES = tuple(np.float32(2.0 / k) for k in (1, 3, 5, 7, 9))
 _ROOT, _LOG_2 = np.float32(np.sqrt(2.0)), np.float32(np.log(2.0))
 _LEAST_STEP = 0.01  # of log s from pixel to pixel
-ANY = 1e6  # a variance: anything may be
 _MOST, _MOST_SIGMAS = 0.8, 1.2816  # quantile of the steps that is of shading, not of paint, and its distance
 _AROUND = 3  # pixels of a chain to each side that a change moves, but for a few
 _SWEEPS, _SETTLED = 4, 0.002  # at most, and share of the pixels that change when all is settled
@@ -59,19 +57,13 @@ class Seams(NamedTuple):
 
     blur_px: standard deviation of the picture's blur. tolerance: variance of normals' lengths, with noise.
     steps: variance of the step of log light from pixel to pixel. noise: standard deviation of a pixel's
-    contribution of each lamp. red: where a Bayer pattern measured it, row and column; None for everywhere.
+    contribution of each lamp.
     """
 
     blur_px: float
     tolerance: float
     steps: float
     noise: tuple[float, float, float]
-    red: tuple[int, int] | None = None
-
-    @property
-    def of_any_length(self) -> Seams:
-        """The same where lengths are judged, so that no light is drawn to a normal of length 1."""
-        return self._replace(tolerance=ANY)
 
 
 class PixelLabeller:
@@ -123,17 +115,6 @@ class PixelLabeller:
             found = self._by_lines(labels, active, allowed, _SWEEPS)
             self.blur_px = likeliest_blur_px(*known, found)
         return found
-
-    def decided_at_once(self, labels: MaterialLabels, active: Mask) -> MaterialLabels:
-        """Return labels as `decided` does, after it and with the same arguments, by messages.
-
-        Messages turn patches that lines cannot turn, and lose some that lines keep.
-        """
-        prices = self._room_for(self._values)[1]
-        return labels_by_messages(
-            labels, active & self._lit, prices, self._steps(), self._logs.astype(np.float32), self._reach,
-            float(_SEAM_PRICE),
-        )  # fmt: skip
 
     def followed(self, labels: MaterialLabels, active: Mask, any_label: Mask, sweeps: int) -> MaterialLabels:
         """Return labels (h, w) of little cost, from those of the frame before.

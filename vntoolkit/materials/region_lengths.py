@@ -1,7 +1,5 @@
 """How far the normals of regions are from unit length as a material, and by which log ρ they would be nearer.
 
-Patches are connected regions of one material. Those of one material have one log ρ, as far as they tell it.
-
 The samples of a region, a fixed number of them, are worked on many at a time, in single precision.
 """
 
@@ -15,14 +13,12 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
 from vntoolkit.arrays import FloatArray, IntArray, Mask, Points
-from vntoolkit.materials.pixels import INDEPENDENT_PX
 from vntoolkit.materials.reflectance import CAP, Lamps
-from vntoolkit.materials.regions import SAMPLES, SHADING_STEP, Regions
+from vntoolkit.materials.regions import SAMPLES, Regions
 from vntoolkit.native import njit
 
 _NONE, _ONE, _TINY, _OF_CAP = np.float32(0.0), np.float32(1.0), np.float32(1e-12), np.float32(CAP**-2)
 WEAK_PRIOR = 0.5  # of log ρ, in a joint fit
-_TURNS = 3
 
 
 class Lengths(NamedTuple):
@@ -73,76 +69,6 @@ def patches_of(regions: Regions, joined: Mask) -> IntArray:
     a, b = regions.sources[joined], regions.neighbours[joined]
     graph = sparse.coo_array((np.ones(len(a)), (a, b)), shape=(regions.count, regions.count))
     return np.asarray(connected_components(graph, directed=False)[1])
-
-
-def one_as_two(
-    logs: Points, labels: IntArray, regions: Regions, lamps: Lamps, tolerance: float
-) -> tuple[float, Points, IntArray]:
-    """Return what is gained at most, in nats, where patches of one material are of two.
-
-    And those log ρ (m + 1, 3) and labels (n,). logs: (m, 3). labels: (n,). tolerance: spread of lengths.
-    """
-    patches = patches_of(regions, labels[regions.sources] == labels[regions.neighbours])
-    matrices, rights = _equations_of_patches(logs, labels, patches, regions, lamps, tolerance)
-    found = 0.0, logs, labels
-    of_patch = labels[np.unique(patches, return_index=True)[1]]
-    for m in range(len(logs)):
-        inside = np.flatnonzero(of_patch == m)
-        gain, ends, is_second = _in_two(matrices[inside], rights[inside])
-        if gain > found[0]:
-            both = np.vstack([logs, logs[m] + ends[1]])
-            both[m] += ends[0]
-            found = gain, both, np.where(np.isin(patches, inside[is_second]), len(logs), labels)
-    return found
-
-
-def _equations_of_patches(
-    logs: Points, labels: IntArray, patches: IntArray, regions: Regions, lamps: Lamps, tolerance: float
-) -> tuple[FloatArray, FloatArray]:
-    """Return the normal equations (p, 3, 3), (p, 3) of the log ρ of patches, from that of their material."""
-    a, b = regions.sources, regions.neighbours
-    own = logs[labels]
-    matrices, rights = normal_equations(regions, own, lamps, regions.sizes / INDEPENDENT_PX, tolerance)
-    rest = (own[b] - own[a] - regions.steps) / SHADING_STEP
-    weights = regions.contacts * (labels[a] != labels[b]) / (1.0 + (rest**2).sum(axis=1) / CAP**2) ** 2
-    np.add.at(rights, a, weights[:, None] * rest / SHADING_STEP)
-    np.add.at(matrices, a, weights[:, None, None] / SHADING_STEP**2 * np.eye(3))
-    count = patches.max() + 1
-    of_patches: Any = np.zeros((count, 3, 3)), np.zeros((count, 3))
-    np.add.at(of_patches[0], patches, matrices)
-    np.add.at(of_patches[1], patches, rights)
-    return of_patches
-
-
-def _in_two(matrices: FloatArray, rights: FloatArray) -> tuple[float, FloatArray, Mask]:
-    """Return what two log ρ gain over one, the two (2, 3), and which patches (p,) are of the second.
-
-    The first guess halves patches along the line on which they differ most; then each goes to the nearer.
-    """
-    bounded = matrices + WEAK_PRIOR * np.eye(3)
-    own = np.linalg.solve(bounded, rights[..., None])[..., 0]
-    weights = np.trace(matrices, axis1=1, axis2=2)[:, None]
-    apart = own - (weights * own).sum(axis=0) / max(weights.sum(), 1e-9)
-    is_second = apart @ np.linalg.eigh((weights * apart).T @ apart)[1][:, -1] > 0.0
-    both, paid = np.zeros((2, 3)), np.zeros((2, len(own)))
-    for _ in range(_TURNS):
-        if is_second.all() or not is_second.any():
-            return 0.0, both, is_second
-        for end, part in enumerate((~is_second, is_second)):
-            both[end], paid[end] = _mean(bounded, own, part)
-        is_second = paid[1] < paid[0]
-    return (
-        float(_mean(bounded, own, np.ones_like(is_second))[1].sum() - paid.min(axis=0).sum()),
-        both,
-        is_second,
-    )
-
-
-def _mean(matrices: FloatArray, own: FloatArray, part: Mask) -> tuple[FloatArray, FloatArray]:
-    """Return the mean log ρ (3,) of a part of the patches, and what each patch pays for it (p,), in nats."""
-    right = np.einsum("nij,nj->i", matrices[part], own[part])
-    mean = np.linalg.solve(matrices[part].sum(axis=0), right)
-    return mean, 0.5 * np.einsum("ni,nij,nj->n", own - mean, matrices, own - mean)
 
 
 # Lengths.
@@ -269,30 +195,11 @@ def _add_equations(s: Any, numbers: Any, squared: Any, reach: Any) -> Any:
 
 
 @njit(cache=True)
-def gather_lengths(
-    labels: Any, changes: Any, matrices: Any, gradients: Any, matrix: Any, gradient: Any
-) -> None:  # fmt: skip
-    """Add the normal equations of lengths, (n, 3, 3) and (n, 3) of the regions, to those of the materials.
-
-    And of the numbers with which log s of the regions changes by changes (n, p, 3).
-    """
-    count = changes.shape[1]
-    last = len(gradient) - count
-    along = np.empty((count, 3))
+def gather_lengths(labels: Any, matrices: Any, gradients: Any, matrix: Any, gradient: Any) -> None:
+    """Add the normal equations of lengths, (n, 3, 3) and (n, 3) of the regions, to those of the materials."""
     for i in range(labels.size):
         first = 3 * labels[i]
         for a in range(3):
             gradient[first + a] += gradients[i, a]
             for b in range(3):
                 matrix[first + a, first + b] += matrices[i, a, b]
-        for p in range(count):
-            along[p] = 0.0
-            for a in range(3):
-                gradient[last + p] += changes[i, p, a] * gradients[i, a]
-                for b in range(3):
-                    along[p, a] += matrices[i, a, b] * changes[i, p, b]
-            for a in range(3):
-                matrix[first + a, last + p] += along[p, a]
-                matrix[last + p, first + a] += along[p, a]
-                for q in range(count):
-                    matrix[last + q, last + p] += changes[i, q, a] * along[p, a]

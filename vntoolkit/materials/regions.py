@@ -3,15 +3,11 @@
 log s_k = log ρ_k + log(l_k · n). From a small region to its neighbour on the same surface the normal changes
 little. So a large step of the mean of log s is one of paint, and tells the ratio of two reflectances. Pixels
 on the steps themselves are blurred mixtures. They are kept out, and go to the nearest region afterwards.
-
-Light that changes slowly over a subject is no paint. Lamps are near: their light changes from one side to the
-other, and falls with depth. To first order log light changes along rows and columns for each lamp alone, and
-with the depth, on a body about a square of the place, for all lamps together.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -37,10 +33,6 @@ _FEWEST_CONTACTS = 3
 _FULL_CONTACT_PX = 8.0
 _MOST_CONTACT = 1.5
 _NEIGHBOURS = 3.0  # steps to about six neighbours are counted twice and hold one difference of means each
-CHANGES = 9  # numbers that tell it
-# Standard deviation of each: of log light from the middle of the subject to its edge. Lamps stand a few
-# subjects away.
-UNEVEN = 0.1
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -51,8 +43,7 @@ class Regions:
     samples: (n, SAMPLES, 3), contributions at pixels of each region. counts: (n,), how many. sizes: (n,).
     planes: (n, 4, SAMPLES) float32, the same, then 1 where there is a sample and 0 where there is none.
     logs: (n, 3), mean log s. starts: (n + 1,), where the neighbours of each begin in `neighbours` (e,).
-    steps: (e, 3), log s of the neighbour less its own. contacts: (e,), weights of the steps. twins: (e,), the
-    number of the same step from the neighbour's side.
+    steps: (e, 3), log s of the neighbour less its own. contacts: (e,), weights of the steps.
     """
 
     labels: IntArray
@@ -66,7 +57,6 @@ class Regions:
     neighbours: IntArray
     steps: FloatArray
     contacts: FloatArray
-    twins: IntArray
 
     @property
     def count(self) -> int:
@@ -105,32 +95,6 @@ def regions_of(split: SplitFrame) -> Regions:
         logs=means,
         **_neighbours(np.where(near, labels, -1), means),
     )
-
-
-def changes_of_light(regions: Regions, split: SplitFrame, frames: int) -> FloatArray:
-    """Return (n, CHANGES, 3), how log s of each region changes with each number.
-
-    split: so many frames of one size, below each other. Places count from the middle of the subject, in units
-    of half its size: the root of three standard deviations, as on a square.
-    """
-    v, u = np.nonzero(regions.plain)
-    of_region = regions.labels[v, u]
-    v = v % (split.lit.shape[0] / frames)
-    sizes = np.maximum(np.bincount(of_region, minlength=regions.count), 1)
-    half = np.sqrt(3.0) * max(u.std(), v.std(), 1.0)
-    x, y = (np.bincount(of_region, at - at.mean(), regions.count) / sizes / half for at in (u, v))
-    along = np.stack([x, y], axis=1)
-    own = np.einsum("np,kl->npkl", along, np.eye(3)).reshape(-1, 6, 3)
-    common = np.stack([x * x, x * y, y * y], axis=1)
-    return np.concatenate([own, np.repeat(common[..., None], 3, axis=2)], axis=1)
-
-
-def levelled(regions: Regions, change: FloatArray) -> Regions:
-    """Return regions as they would be in even light. change: (n, 3), of log s."""
-    share = np.exp(-change)
-    planes = regions.planes.copy()
-    planes[:, :3] *= share[..., None]
-    return replace(regions, samples=regions.samples * share[:, None], planes=planes)
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
@@ -279,12 +243,10 @@ def _neighbours(labels: IntArray, logs: FloatArray) -> dict[str, Any]:
     sources, neighbours = np.concatenate([one, other]), np.concatenate([other, one])
     contacts = np.minimum(np.tile(length, 2) / _FULL_CONTACT_PX, _MOST_CONTACT) / _NEIGHBOURS
     order = np.argsort(sources, kind="stable")
-    places = np.argsort(order)
     sources, neighbours = sources[order], neighbours[order]
     return {
         "starts": np.searchsorted(sources, np.arange(count + 1)),
         "neighbours": neighbours,
         "steps": logs[neighbours] - logs[sources],
         "contacts": contacts[order],
-        "twins": places[(order + len(one)) % max(len(order), 1)],
     }

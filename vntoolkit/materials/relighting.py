@@ -1,8 +1,7 @@
 """What a frame would look like if the calibration material were everywhere.
 
 The light on a pixel is divided by the reflectance of its material, lamp by lamp. In a blurred picture of
-several materials it is then interpolated, where a Bayer pattern measured one colour (`mosaic`), and weighed
-(`likeliest_light`). Where a material has a pigment, the pixel's place on
+several materials it is then weighed (`likeliest_light`). Where a material has a pigment, the pixel's place on
 the pigment's line counts.
 """
 
@@ -16,11 +15,9 @@ from numba import prange
 from vntoolkit.arrays import FloatArray, Mask, Points
 from vntoolkit.materials.likeliest_light import REACH_PX, take_likeliest
 from vntoolkit.materials.mixtures import blur_weights, reach_of_blur, room_for, wide_weights
-from vntoolkit.materials.mosaic import REACH_PX as BETWEEN_PX
-from vntoolkit.materials.mosaic import blur_of_lens_px, red_of_mosaic
 from vntoolkit.materials.pigment import take_without_pigment
-from vntoolkit.materials.pixels import ANY, MaterialLabels, Seams, near_seams
-from vntoolkit.materials.reflectance import CAP, lamps_from_response
+from vntoolkit.materials.pixels import MaterialLabels, Seams, near_seams
+from vntoolkit.materials.reflectance import lamps_from_response
 from vntoolkit.native import njit
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
@@ -58,21 +55,18 @@ def relit(
     corners = box[0].start, box[0].stop, box[1].start, box[1].stop
     near, done = np.zeros(labels.shape, np.bool_), np.zeros(labels.shape, np.bool_)
     if seams is not None and seams.blur_px > 0.0 and len(values) > 1:
-        blur_px = seams.blur_px if seams.red is None else blur_of_lens_px(seams.blur_px)
-        reach = reach_of_blur(blur_px)
+        reach = reach_of_blur(seams.blur_px)
         near[box] = near_seams(np.ascontiguousarray(labels[box]), reach)
         done[box] = True
         if along.any():  # beside seams alone there is no pigment
             done[box] = near[box]
-        blur, around = (
-            wide_weights(blur_weights(px, each)) for px, each in ((blur_px, reach), (seams.blur_px, REACH_PX))
-        )
+        blur, around = (wide_weights(blur_weights(seams.blur_px, each)) for each in (reach, REACH_PX))
         take_likeliest(
             np.ascontiguousarray(frame.rgb), labels, near, inside,
             tuple(each.astype(np.float32) for each in (lamps.haze, lamps.inverse, lamps.split, merge)),
             values.astype(np.float32), blur, around,
             (np.float32(seams.steps), np.float32(seams.tolerance)), np.asarray(seams.noise, np.float32) ** 2,
-            seams.red or (-1, -1), corners, out,
+            corners, out,
         )  # fmt: skip
         if done[box].all():
             return LinearFrame(rgb=out, clipped=frame.clipped, number=frame.number)
@@ -85,28 +79,6 @@ def relit(
         corners, out,
     )  # fmt: skip
     return LinearFrame(rgb=out, clipped=frame.clipped, number=frame.number)
-
-
-def red_beside_seams(
-    frame: LinearFrame, response: LightResponse, labels: MaterialLabels, reflectances: Points, seams: Seams,
-    mask: Mask,
-) -> tuple[int, int] | None:  # fmt: skip
-    """Return where a Bayer pattern measured red (`red_of_mosaic`); None where that is of no use.
-
-    It is of use where with it normals beside seams are nearer to unit length. Beside hair they are not: seams
-    there are no sharp ones, and what was measured is as wrong as what was interpolated.
-    """
-    red, beside = red_of_mosaic(frame.rgb, mask & ~frame.clipped), mask & near_seams(labels, BETWEEN_PX)
-    if red is None or not beside.any():
-        return None
-    lamps, prices = lamps_from_response(response, np.zeros(3)), []
-    for each in (red, None):
-        as_it_is = seams.of_any_length._replace(steps=ANY, red=each)
-        light = relit(frame, response, labels, reflectances, seams=as_it_is, mask=mask, box=box_of(mask))
-        normals = (light.rgb[beside] @ lamps.split.T - lamps.haze) @ lamps.inverse.T
-        t = (np.linalg.norm(normals, axis=1) - 1.0) ** 2 / seams.tolerance
-        prices.append(float((t / (1.0 + t / CAP**2)).mean()))
-    return red if prices[0] < prices[1] else None
 
 
 def colours_of(reflectances: Points, response: LightResponse) -> FloatArray:

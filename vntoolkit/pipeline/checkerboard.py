@@ -11,9 +11,13 @@ from vntoolkit.errors import BadInput
 from vntoolkit.io.footage.frame_range import sampled
 from vntoolkit.io.footage.images import write_png
 from vntoolkit.io.footage.video import write_video
+from vntoolkit.options.tracking import CheckerboardOptions
 from vntoolkit.pipeline.opened_result import OpenedResult, open_result
-from vntoolkit.pipeline.tracked_folder import Tracks, read_tracks
-from vntoolkit.tracking.checkerboard import CheckerboardOptions, checkerboard_frame
+from vntoolkit.pipeline.tracked_folder import (
+    Tracks,
+    read_tracks,
+)
+from vntoolkit.tracking.checkerboard import checkerboard_frame
 
 _SHEET_COLUMNS, _SHEET_ROWS = 4, 2
 

@@ -13,11 +13,11 @@ import numpy as np
 
 from vntoolkit.arrays import FloatArray, Matrix3
 from vntoolkit.errors import BadRig, VntError
+from vntoolkit.options.normals import ShadowMethod
+from vntoolkit.options.reconstruction import MaterialSearch, Product, ReconstructOptions
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline.frame_processor import FrameProcessor
-from vntoolkit.pipeline.options import MaterialSearch, Product, ReconstructOptions
 from vntoolkit.pipeline.request import Footage
-from vntoolkit.shadows.detector import ShadowMethod
 from vntoolkit.shadows.lamp_directions import SURE_DEG, directions_from_unlit
 
 logger = logging.getLogger(__name__)

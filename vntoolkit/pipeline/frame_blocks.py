@@ -15,9 +15,9 @@ from vntoolkit.io.footage.decoding import EncodedFrame
 from vntoolkit.io.results.frame_log import FrameEntry
 from vntoolkit.io.results.manifest import Known
 from vntoolkit.native import loops_may_overlap
+from vntoolkit.options.reconstruction import OnError
 from vntoolkit.photometry.frame import ALL_LIT
 from vntoolkit.pipeline.frame_processor import FrameProcessor, PreparedFrame
-from vntoolkit.pipeline.options import OnError
 from vntoolkit.pipeline.outputs import FrameResult
 from vntoolkit.pipeline.request import Request
 from vntoolkit.pipeline.smoothing import smoothed_frames
@@ -70,7 +70,7 @@ class FrameBlockProcessor:
         All frames are computed, since a frame may start from the one before it. A record is yielded once the
         frame's files are in place.
         """
-        self._carried.forget()
+        self._carried.reset()
         frames = smoothed_frames(self._footage.capture, block, self._options.smoothing)
         written: list[FrameEntry] = []
 

@@ -18,13 +18,13 @@ from vntoolkit.io.results.manifest import MaterialEntry
 from vntoolkit.native import keep_freed_memory
 from vntoolkit.normals import expected_error
 from vntoolkit.normals.inversion import normals_from_encoded, normals_from_frame, relative_albedo_from_frame
+from vntoolkit.options.normals import ShadowMethod
+from vntoolkit.options.reconstruction import Product, ReconstructOptions
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.levelling import Box, leveller_of
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import Transfer, TransferCurve, encoded_from_linear
-from vntoolkit.pipeline.options import Product, ReconstructOptions
 from vntoolkit.pipeline.outputs import FrameResult
-from vntoolkit.shadows.detector import ShadowMethod
 
 if TYPE_CHECKING:
     from vntoolkit.integration.integrate import DepthAnchor, DepthIntegrator
@@ -46,7 +46,7 @@ class Carried:
     integrator: DepthIntegrator | None = None
     anchor: DepthAnchor | None = None
 
-    def forget(self) -> None:
+    def reset(self) -> None:
         """Drop what came from the frame before, so that a sequence may start at any frame."""
         self.integrator = None
         if self.labeller is not None:
@@ -161,7 +161,7 @@ class FrameProcessor:
         ties_depth: the depth of later frames is tied to its own, too; see `DepthAnchor`. Raises as `process`
         does.
         """
-        carried.forget()
+        carried.reset()
         if ties_depth:
             from vntoolkit.integration.integrate import DepthAnchor
 
@@ -172,7 +172,7 @@ class FrameProcessor:
             self._labelled(frame, matte, carried)
         if carried.labeller is not None:
             carried.labeller.keep()
-        carried.forget()
+        carried.reset()
 
     # Video → linear RGB, and all in one material. Frames come in order.
 

@@ -9,33 +9,30 @@ from scipy.ndimage import gaussian_filter
 
 from vntoolkit.arrays import FloatArray, Mask, Vector3
 from vntoolkit.errors import BadCapture, BadInput
-from vntoolkit.io.footage.decoding import EncodedFrame
 from vntoolkit.io.results.manifest import MaterialEntry
 from vntoolkit.materials.labelling import MaterialLabeller
 from vntoolkit.materials.pixels import MaterialLabels
-from vntoolkit.materials.regions import UNEVEN
 from vntoolkit.materials.relighting import relit
 from vntoolkit.materials.search import (
     WORST_ERROR_DEG,
     Material,
     find_materials,
-    fitted_again,
     searched_frames,
 )
 from vntoolkit.materials.split_frame import block_size
 from vntoolkit.normals.inversion import relative_albedo_from_frame
+from vntoolkit.options.reconstruction import MaterialSearch, ReconstructOptions
 from vntoolkit.photometry.frame import LinearFrame
-from vntoolkit.photometry.levelling import leveller_of
 from vntoolkit.photometry.response import LightResponse, scaled_normals_from_rgb
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline.frame_processor import FrameProcessor
-from vntoolkit.pipeline.options import MaterialSearch, ReconstructOptions
 from vntoolkit.pipeline.request import Footage, seeks_materials
 from vntoolkit.pipeline.threads import read_ahead
 
 logger = logging.getLogger(__name__)
 _LOOKED_AT = 3  # frames …
 _APART = 8  # … this far from each other, where there are as many: the subject then shows other normals
+_UNEVEN = 0.1  # of log light over a subject that stands a few of its sizes from the lamps
 _SAME_DEG = 1.5  # mean turn of normals below which a material is the rig's own
 # Turn of normals, over the scatter of their lengths from region to region as an angle, that gloss may have
 # made: photographs of one material have 0.8 to 1.4, other colours on cloth 2 and more, on skin 6.
@@ -71,45 +68,6 @@ class MeasuredMaterials:
     seen: "LabelledFrame | None" = None
 
 
-class FirstFrames:
-    """The frames that materials are measured on: the first, and some in which the subject has moved."""
-
-    def __init__(self, footage: Footage, numbers: Sequence[int]) -> None:
-        self._footage = footage
-        there = footage.usable(numbers)
-        step = max(1, min(_APART, (len(there) - 1) // (_LOOKED_AT - 1)))
-        self._numbers = there[::step][:_LOOKED_AT]
-        self._encoded: dict[int, EncodedFrame] = {}
-
-    def seen(self, rig: Rig, options: ReconstructOptions) -> Iterator["_FirstFrame"]:
-        """Yield them in linear light, decoded once however often they are asked for.
-
-        The first alone where no materials are sought.
-        """
-        numbers = self._numbers if seeks_materials(rig, options) else self._numbers[:1]
-        for encoded in read_ahead(map(self._decoded, numbers), len(numbers)):
-            processor = FrameProcessor(
-                rig, options, self._footage.mattes.of(encoded), self._footage.capture.background
-            )
-            frame = processor.linear(encoded)
-            yield _FirstFrame(
-                name=encoded.name,
-                frame=frame,
-                by_strength=processor.by_strength(frame),
-                mask=processor.whole_mask,
-                subject=processor.lit_subject(frame),
-            )
-
-    def keep_first(self, count: int) -> None:
-        """Keep the first `count` frames alone: materials were not searched on the others."""
-        self._numbers = self._numbers[:count]
-
-    def _decoded(self, number: int) -> EncodedFrame:
-        if number not in self._encoded:
-            self._encoded[number] = self._footage.capture.encoded(number)
-        return self._encoded[number]
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _FirstFrame:
     """One of the frames looked at, and with every lamp as strong as at the centre. mask, subject: (h, w)."""
@@ -121,8 +79,31 @@ class _FirstFrame:
     subject: Mask
 
 
+def first_frames(
+    rig: Rig, options: ReconstructOptions, footage: Footage, numbers: Sequence[int]
+) -> Iterator[_FirstFrame]:
+    """Yield the first frame and, where materials are sought, some in which the subject has moved."""
+    there, capture = footage.usable(numbers), footage.capture
+    step = max(1, min(_APART, (len(there) - 1) // (_LOOKED_AT - 1)))
+    looked_at = there[::step][: _LOOKED_AT if seeks_materials(rig, options) else 1]
+    for encoded in read_ahead(map(capture.encoded, looked_at), len(looked_at)):
+        processor = FrameProcessor(rig, options, footage.mattes.of(encoded), capture.background)
+        frame = processor.linear(encoded)
+        yield _FirstFrame(
+            name=encoded.name,
+            frame=frame,
+            by_strength=processor.by_strength(frame),
+            mask=processor.whole_mask,
+            subject=processor.lit_subject(frame),
+        )
+
+
 def measured_materials(
-    rig: Rig, options: ReconstructOptions, first_frames: FirstFrames, lamps_in_words: str = ""
+    rig: Rig,
+    options: ReconstructOptions,
+    footage: Footage,
+    numbers: Sequence[int],
+    lamps_in_words: str = "",
 ) -> MeasuredMaterials:
     """Measure the materials, or how bright the rig's is. lamps_in_words: what shadows did not tell of them.
 
@@ -130,7 +111,7 @@ def measured_materials(
     such. Raises `BadInput` where a number of materials is asked for that cannot be told, `BadCapture` where
     the first frame shows nothing.
     """
-    firsts = list(first_frames.seen(rig, options))
+    firsts = list(first_frames(rig, options, footage, numbers))
     response, choice = rig.response, options.materials
     if seeks_materials(rig, options):
         levelled, subjects = zip(*((each.by_strength, each.subject) for each in firsts), strict=True)
@@ -138,7 +119,6 @@ def measured_materials(
         first = levelled[0], subjects[0], central
         count = None if isinstance(choice, MaterialSearch) else choice
         searched = searched_frames(levelled, subjects, central)
-        first_frames.keep_first(searched.count)
         found = find_materials(searched, count)
         seen = LabelledFrame.by(found, *first)
         if count is None and seen.left_at_seams() > _MOST_LEFT:
@@ -157,39 +137,6 @@ def measured_materials(
     _warn_of_other_material(response, choice, firsts[0].frame, firsts[0].mask, albedo, lamps_in_words)
     short = float(np.format_float_positional(albedo, precision=4, fractional=False))
     return MeasuredMaterials(entries=[], relative_albedo=short)
-
-
-def refitted_materials(
-    rig: Rig,
-    options: ReconstructOptions,
-    materials: Sequence[MaterialEntry],
-    first_frames: FirstFrames,
-    first: "LabelledFrame",
-) -> list[MaterialEntry]:
-    """Return the materials, fitted again to what the first frames show under lamps that are near.
-
-    The search takes the lamps' directions at the centre. With labels known, each pixel's own are taken.
-    first: the first frame, labelled by the materials as they were measured.
-    """
-    response, known = rig.response, np.array([entry.reflectance for entry in materials])
-    labeller, far, subjects = first.labeller.with_reflectances(known), [], []
-    labels: list[MaterialLabels] = []
-    for each in first_frames.seen(rig, options):
-        labeller.forget()
-        labels.append(labeller.labels(each.by_strength, each.subject) if labels else first.labels)
-        seams = labeller.seams
-        # Colours that a camera interpolated make normals longer, most in dark paint: as noise does.
-        weighed = None if seams is None or seams.red is None else seams.of_any_length
-        light = relit(each.frame, response.central, labels[-1], known, seams=weighed, mask=each.subject)
-        plain = leveller_of(response, each.subject.shape).frame(light)
-        far.append(relit(plain, response.central, labels[-1], 1.0 / known))
-        subjects.append(each.subject)
-    found = fitted_again(searched_frames(far, subjects, response.central), known)
-    labeller = labeller.with_reflectances(np.array([each.reflectance.values for each in found]))
-    seen = LabelledFrame(
-        frame=far[0], mask=subjects[0], response=response.central, labeller=labeller, labels=labels[0]
-    )
-    return _entries(*_with_pigments(found, seen))
 
 
 def _told(found: list[Material], choice: MaterialSearch | int) -> list[Material]:
@@ -313,7 +260,7 @@ def _are_alike(
     """True where the materials may be one: gloss and uneven light alone make it look as different."""
     values, turned = one.reflectance.values, 0.0
     for each in found:
-        if abs(np.log(each.reflectance.values / values).mean()) > UNEVEN:
+        if abs(np.log(each.reflectance.values / values).mean()) > _UNEVEN:
             return False
         turn_deg, bent_deg = _turn_deg(each.reflectance.values, one, frame, mask, response)
         turned += each.share * turn_deg

@@ -48,31 +48,22 @@ def prepare(request: Request, footage: Footage, numbers: Sequence[int]) -> Known
         assert doubts_deg is not None
         found |= {"light_colours": colours.tolist(), "light_doubts_deg": doubts_deg.tolist()}
     materials: list[MaterialEntry] = []
-    labeller, refit = None, None
+    labeller = None
     if not request.is_of_gel:
-        from vntoolkit.pipeline import measured_materials as measuring
+        from vntoolkit.pipeline.measured_materials import measured_materials
 
-        first_frames = measuring.FirstFrames(footage, numbers)
-        measured = measuring.measured_materials(rig, options, first_frames, lamps_in_words)
-        materials, seen = measured.entries, measured.seen
+        measured = measured_materials(rig, options, footage, numbers, lamps_in_words)
+        materials = measured.entries
         found |= {"relative_albedo": measured.relative_albedo}
-        if seen is not None:
-            labeller = seen.labeller
-
-            def refit(near: Rig) -> list[MaterialEntry]:
-                return measuring.refitted_materials(near, options, materials, first_frames, seen)
-
+        if measured.seen is not None:
+            labeller = measured.seen.labeller
     if examined is None or seeks_materials(rig, options):
         examined = _examined(request, rig, footage, numbers, materials, labeller)
     found |= {"blur_px": round(examined.blur_px, _DIGITS_OF_BLUR)}
     if rig.response.variation is None and not request.is_of_gel:
         found |= {"nearness": round(examined.nearness, _DIGITS_OF_NEARNESS)}
     findings = [FindingEntry(check=f.check, level=f.level.value, text=f.text) for f in examined.findings]
-    known = Known.model_validate(found | {"findings": findings, "materials": materials})
-    near = known.with_rig(request.rig)
-    if refit is not None and near.response.variation is not None:
-        known = known.model_copy(update={"materials": refit(near)})
-    return known
+    return Known.model_validate(found | {"findings": findings, "materials": materials})
 
 
 def _reference_frame(request: Request, footage: Footage, numbers: Sequence[int]) -> int:

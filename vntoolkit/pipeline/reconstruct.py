@@ -13,7 +13,7 @@ import numpy as np
 from vntoolkit.errors import BadInput
 from vntoolkit.io.atomic import remove_leftovers, require_apart, write_text
 from vntoolkit.io.footage.captures import CaptureInfo
-from vntoolkit.io.footage.frame_range import FrameRange, Gaps
+from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.footage.mattes import require_mattes
 from vntoolkit.io.footage.sequence import text_of_names
 from vntoolkit.io.results import manifest as manifests
@@ -21,6 +21,7 @@ from vntoolkit.io.results.folder import begin_run, numbers_in_words, require_sam
 from vntoolkit.io.results.frame_log import FrameEntry, FrameLog
 from vntoolkit.io.results.manifest import FindingEntry, Known, Manifest
 from vntoolkit.io.rigs import entry_from_rig
+from vntoolkit.options.footage import Gaps
 from vntoolkit.pipeline.frame_blocks import Block, begin_blocks
 from vntoolkit.pipeline.prepare import prepare
 from vntoolkit.pipeline.processes import map_in_processes

@@ -6,23 +6,17 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from vntoolkit.io.files import ReadingLimits, reading_limits
+from vntoolkit.io.files import reading_limits
 from vntoolkit.io.footage.captures import Capture, CaptureOptions, open_capture
-from vntoolkit.io.footage.frame_range import Gaps
-from vntoolkit.io.footage.mattes import MatteOptions, Mattes, open_mattes
-from vntoolkit.io.footage.mosaics import SensorOptions
+from vntoolkit.io.footage.mattes import Mattes, open_mattes
 from vntoolkit.io.results.manifest import Known
+from vntoolkit.options.footage import Gaps, MatteOptions, ReadingLimits, SensorOptions
+from vntoolkit.options.normals import ShadowMethod
+from vntoolkit.options.reconstruction import MaterialSearch, Product, ReconstructOptions
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import Transfer
-from vntoolkit.pipeline.options import (
-    SENSOR_PREFIX,
-    MaterialSearch,
-    Product,
-    ReconstructOptions,
-    option_values,
-)
+from vntoolkit.pipeline.options import SENSOR_PREFIX, option_values
 from vntoolkit.pipeline.outputs import ReconstructionFolder
-from vntoolkit.shadows.detector import ShadowMethod
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -7,11 +7,12 @@ import numpy as np
 from vntoolkit.arrays import FloatArray, Mask, VisibilityLabels
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import NormalMap
-from vntoolkit.normals.inversion import InversionOptions, normals_from_frame
+from vntoolkit.normals.inversion import normals_from_frame
+from vntoolkit.options.normals import InversionOptions, ShadowMethod
 from vntoolkit.photometry.frame import ALL_LIT, LinearFrame
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.shadows.contributions import brighter_than
-from vntoolkit.shadows.detector import ShadowDetector, ShadowMethod
+from vntoolkit.shadows.detector import ShadowDetector
 from vntoolkit.shadows.lamp_directions import LampDirections, directions_from_shadows, unlit_by_lamp
 from vntoolkit.shadows.recovery import recover_surface
 from vntoolkit.shadows.surface import Surface

@@ -39,6 +39,7 @@ from vntoolkit.io.results.folder import (
 from vntoolkit.io.results.seams import write_seams
 from vntoolkit.io.results.sequences import SEQUENCE_FILES, MeshSequenceWriter
 from vntoolkit.io.rigs import write_rig
+from vntoolkit.options.simulation import Nuisances, RenderOptions, SceneOptions
 from vntoolkit.photometry.frame import lit_from_labels
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import TransferCurve
@@ -47,15 +48,8 @@ from vntoolkit.pipeline.processes import map_in_processes
 from vntoolkit.simulation.head.rig import seam_lines_px
 from vntoolkit.simulation.image_formation import exposure_of_scene, light_colours_of, true_response
 from vntoolkit.simulation.lights import WAVELENGTHS_NM
-from vntoolkit.simulation.nuisances import Nuisances
-from vntoolkit.simulation.render import (
-    Renderer,
-    RenderOptions,
-    SimulatedFrame,
-    frame_generator,
-    require_same_topology,
-)
-from vntoolkit.simulation.scene import Scene, SceneOptions, build_scene
+from vntoolkit.simulation.render import Renderer, SimulatedFrame, frame_generator, require_same_topology
+from vntoolkit.simulation.scene import Scene, build_scene
 
 _SHEET_FRAMES, _SHEET_WIDTH = 8, 320
 _VERSION = 1

@@ -14,6 +14,7 @@ from vntoolkit.arrays import Faces, FloatArray, IntArray, Mask, Points, Vector3
 from vntoolkit.geometry.mesh import Mesh, edge_cotangents, face_normals, graph_laplacian, vertex_normals
 from vntoolkit.geometry.motion import Skeleton
 from vntoolkit.native import njit
+from vntoolkit.options.dressing import Falloff, WeightOptions
 from vntoolkit.skinning import weights as skin_weights
 from vntoolkit.skinning.blending import skinned_vertices
 from vntoolkit.skinning.stretch import edge_lengths, greatest_growth
@@ -62,7 +63,7 @@ def weights_of_garment(
     garment: Mesh,
     skeleton: Skeleton,
     pose: FloatArray,
-    options: skin_weights.WeightOptions,
+    options: WeightOptions,
     cover: GarmentCover | None = None,
     stiffness: FloatArray | None = None,
     known: KnownParts | None = None,
@@ -72,7 +73,7 @@ def weights_of_garment(
     stiffness: (n,) where it is greater, the share of an arm changes more slowly along the cloth. known: parts
     solved before, of which those that have not changed are taken.
     """
-    if options.falloff is not skin_weights.Falloff.HEAT:
+    if options.falloff is not Falloff.HEAT:
         return skin_weights.weights_from_distances(garment.vertices, skeleton, pose, options)
     if cover is None or not cover.sleeves:
         bare = () if cover is None else cover.bare
@@ -84,7 +85,7 @@ def weights_without_web(
     garment: Mesh,
     skeleton: Skeleton,
     pose: FloatArray,
-    options: skin_weights.WeightOptions,
+    options: WeightOptions,
     *,
     poses: FloatArray,
     max_stretch: float,
@@ -101,7 +102,7 @@ def weights_without_web(
     known: KnownParts = {}
     weights = weights_of_garment(garment, skeleton, pose, options, cover, known=known)
     faces = garment.faces
-    if options.falloff is not skin_weights.Falloff.HEAT or not max_stretch:
+    if options.falloff is not Falloff.HEAT or not max_stretch:
         return weights, faces
     growth, longest = np.ones(len(faces)), edge_lengths(garment.vertices, faces)
     for now in poses:
@@ -122,7 +123,7 @@ def weights_from_heat(
     garment: Mesh,
     skeleton: Skeleton,
     pose: FloatArray,
-    options: skin_weights.WeightOptions,
+    options: WeightOptions,
     bare: Collection[int] = (),
 ) -> skin_weights.SkinWeights:
     """Weigh the garment's vertices by bone heat: −Δw + H w = H p, baran2007.
@@ -142,7 +143,7 @@ def weights_with_sleeves(
     garment: Mesh,
     skeleton: Skeleton,
     pose: FloatArray,
-    options: skin_weights.WeightOptions,
+    options: WeightOptions,
     cover: GarmentCover,
     stiffness: FloatArray | None = None,
     known: KnownParts | None = None,
@@ -298,7 +299,7 @@ def _own_bones(
     garment: Mesh,
     skeleton: Skeleton,
     pose: FloatArray,
-    options: skin_weights.WeightOptions,
+    options: WeightOptions,
     among: Collection[int] | None = None,
 ) -> tuple[IntArray, FloatArray, FloatArray]:
     """Return for every vertex its joint, the distance to it, and how sure that is, (n,) each."""

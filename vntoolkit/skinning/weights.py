@@ -2,7 +2,6 @@
 
 from collections.abc import Collection
 from dataclasses import dataclass
-from enum import Enum
 from fnmatch import fnmatch
 
 import numpy as np
@@ -12,56 +11,9 @@ from vntoolkit.checks import require_shape
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.motion import Skeleton, bone_segments
 from vntoolkit.native import njit
+from vntoolkit.options.dressing import Falloff, WeightOptions
 
 _NEAREST = 1e-6  # of the skeleton's height: nearer counts as this near, so that 1/distance stays finite
-
-
-class Falloff(Enum):
-    """How the weights of a vertex are computed.
-
-    HEAT: by heat that spreads along the cloth from where each bone lies under it, baran2007: a flank does
-    not follow the arm beside it. INVERSE: by 1/distance through the air to the nearest bones, as published;
-    the cloth tears where the set of nearest bones changes, and hangs like a web under a raised arm.
-    CONTINUOUS: by 1/distance less that of the next bone farther off, franke1980, so that a bone's weight is
-    0 where it drops out and the cloth stays whole.
-    """
-
-    HEAT = "heat"
-    INVERSE = "inverse"
-    CONTINUOUS = "continuous"
-
-
-_BONES = {Falloff.HEAT: 8, Falloff.INVERSE: 4, Falloff.CONTINUOUS: 4}
-
-
-@dataclass(frozen=True, kw_only=True)
-class WeightOptions:
-    """Options of the skinning weights.
-
-    falloff: how a vertex weighs its bones: heat, by heat along the cloth; inverse, by the inverse distance as
-    published; continuous, the same without tears. neighbours: number of bones that a vertex follows. Default:
-    8 by heat, else the 4 nearest. distance_power: exponent of the distance, not for heat. 1 is the published
-    rule; with more, limbs move more independently. exclude: joints whose bones get no weight, as names or
-    patterns (`*Hand*`).
-    """
-
-    falloff: Falloff = Falloff.HEAT
-    neighbours: int | None = None
-    distance_power: float = 1.0
-    exclude: tuple[str, ...] = ()
-
-    def __post_init__(self) -> None:
-        if self.neighbours is not None and self.neighbours < 1:
-            raise BadInput(f"neighbours: expected at least 1, got {self.neighbours}")
-        if not 0 < self.distance_power < np.inf:
-            raise BadInput(f"distance power: expected a positive number, got {self.distance_power:g}")
-        if self.falloff is Falloff.HEAT and self.distance_power != 1:
-            raise BadInput("distance power: weights by heat have none; choose falloff inverse or continuous")
-
-    @property
-    def bones(self) -> int:
-        """Number of bones a vertex follows."""
-        return _BONES[self.falloff] if self.neighbours is None else self.neighbours
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

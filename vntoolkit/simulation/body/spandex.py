@@ -7,9 +7,10 @@ from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 
 from vntoolkit.arrays import FloatArray, Points
+from vntoolkit.options.simulation import SceneOptions
 from vntoolkit.simulation.body import implicit
 from vntoolkit.simulation.lights import studio_camera, studio_centre, studio_lights
-from vntoolkit.simulation.scene import Scene, SceneOptions, SceneSurface
+from vntoolkit.simulation.scene import Scene, SceneSurface
 
 _FRAMES = 240
 _FIELD_WIDTH_M = 1.42

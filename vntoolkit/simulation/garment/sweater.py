@@ -13,10 +13,11 @@ from scipy.ndimage import gaussian_filter
 
 from vntoolkit.arrays import Faces, FloatArray, IntArray, Points, Points2
 from vntoolkit.native import njit
+from vntoolkit.options.simulation import SceneOptions
 from vntoolkit.simulation.garment.pattern import EDGE_LENGTH_M, Garment, knit_coordinates, sew_sweater
 from vntoolkit.simulation.garment.solver import THICKNESS_M, Capsules, ClothSolver
 from vntoolkit.simulation.lights import studio_camera, studio_centre, studio_lights
-from vntoolkit.simulation.scene import Detail, Scene, SceneOptions, SceneSurface
+from vntoolkit.simulation.scene import Detail, Scene, SceneSurface
 
 _FRAMES = 1000
 _FIELD_WIDTH_M = 1.42

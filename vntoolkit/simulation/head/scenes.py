@@ -7,6 +7,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter, gaussian_filter1d
 
 from vntoolkit.arrays import Colours, FloatArray, Points
+from vntoolkit.options.simulation import SceneOptions
 from vntoolkit.simulation.head import anatomy
 from vntoolkit.simulation.head.anatomy import IRIS_RADIUS, PUPIL_RADIUS, Head, build_head, lip_line
 from vntoolkit.simulation.head.rig import (
@@ -18,7 +19,7 @@ from vntoolkit.simulation.head.rig import (
 )
 from vntoolkit.simulation.head.sculpture import EYE_CENTRE, MOUTH_HALF_WIDTH, azimuth_deg, hair_share
 from vntoolkit.simulation.lights import studio_camera, studio_centre, studio_lights
-from vntoolkit.simulation.scene import Detail, Scene, SceneOptions, SceneSurface
+from vntoolkit.simulation.scene import Detail, Scene, SceneSurface
 
 _TURN_FRAMES, _WIDEST_TURN_DEG = 90, 68.0
 _FACE_FRAMES = 1000

@@ -1,6 +1,4 @@
-"""What the user chooses about tracking: a whole method by name, and what the published ones leave open."""
-
-from __future__ import annotations
+"""How frames are registered to one mesh."""
 
 from dataclasses import dataclass
 from enum import Enum
@@ -9,6 +7,7 @@ from vntoolkit.checks import require_in_range
 from vntoolkit.errors import BadInput
 
 _PAPERS_LENGTH = 38.7  # edges: sqrt(1.5 / β) for the paper's β = 1e-3 on edges of length 1
+
 _PAPERS_SHARE = 0.9
 
 
@@ -27,16 +26,15 @@ class Tracker(Enum):
 
 @dataclass(frozen=True, kw_only=True)
 class TrackingOptions:
-    """How the template follows the video.
-
-    method: a whole method by name. smoothing_length: in edges; the Laplacian methods keep waves longer than
-    about five times this (β = 1.5 / length²; the default is the paper's β = 1e-3). data_share: α of the
-    translation method, the share of the data term, 0 to 1, the paper's by default.
-    """
+    """How the template follows the video."""
 
     method: Tracker = Tracker.DEFAULT
+    """A whole method by name."""
     smoothing_length: float = _PAPERS_LENGTH
+    """In edges; the Laplacian methods keep waves longer than about five times this (β = 1.5 / length²; the
+    default is the paper's β = 1e-3)."""
     data_share: float = _PAPERS_SHARE
+    """Α of the translation method, the share of the data term, 0 to 1, the paper's by default."""
 
     def __post_init__(self) -> None:
         require_in_range(self.data_share, 1e-3, 1.0, "data share α")
@@ -48,3 +46,14 @@ class TrackingOptions:
             )
         if self.data_share != _PAPERS_SHARE and self.method is not Tracker.TRANSLATION:
             raise BadInput(f"data share α: method `{name}` has none; choose `translation`, or omit it")
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckerboardOptions:
+    """How the texture is drawn."""
+
+    square_px: int = 16
+    """Side of a square of the checkerboard on the template, pixels."""
+
+    def __post_init__(self) -> None:
+        require_in_range(self.square_px, 1, 10_000, "square of the checkerboard in pixels")
