@@ -35,7 +35,7 @@ from vntoolkit.options.normals import ShadowMethod
 from vntoolkit.options.reconstruction import MaterialSearch, Product, ReconstructOptions
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.rig import Rig
-from vntoolkit.pipeline.frame_processor import FrameProcessor
+from vntoolkit.pipeline.frame_processor import Carried, FrameProcessor
 from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.reconstruct import reconstruct
 from vntoolkit.pipeline.request import Request
@@ -123,7 +123,7 @@ def milliseconds_in_memory(
 ) -> float:
     """Encoded frame to normals and depth, nothing read or written while the clock runs."""
     processor = FrameProcessor(rig, options_of(shadows), mask, None)
-    spent, carried = [], processor.first_carried()
+    spent, carried = [], Carried()
     for k in range(frames + 2):
         started = time.perf_counter()
         processor.process(encoded[k % len(encoded)], None, carried)

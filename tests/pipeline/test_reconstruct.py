@@ -25,7 +25,7 @@ from vntoolkit.options.footage import MatteOptions, SensorOptions
 from vntoolkit.options.normals import ShadowMethod
 from vntoolkit.options.reconstruction import OnError, Product, ReconstructOptions
 from vntoolkit.photometry.rig import FitQuality
-from vntoolkit.pipeline.frame_processor import FrameProcessor
+from vntoolkit.pipeline.frame_processor import Carried, FrameProcessor
 from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.reconstruct import blocks_of, reconstruct
 from vntoolkit.pipeline.request import Request
@@ -57,7 +57,7 @@ def whole_run(dome_capture: DomeCapture, tmp_path_factory: pytest.TempPathFactor
 def test_a_frame_of_another_size_than_the_rigs_is_refused(dome_capture: DomeCapture, shadows) -> None:
     processor = FrameProcessor(dome_capture.rig, ReconstructOptions(shadows=shadows))
     frame = EncodedFrame(values=np.zeros((50, 64, 3), np.uint8), bits=8, number=0, name="a.png")
-    for work in (processor.process, partial(processor.set_reference, processor.first_carried())):
+    for work in (processor.process, partial(processor.set_reference, Carried())):
         with pytest.raises(BadInput, match=r"a\.png: expected shape 48 × 64 × 3, got 50 × 64 × 3"):
             work(frame)
 

@@ -16,20 +16,20 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy import sparse
 from scipy.linalg import block_diag
+from scipy.sparse.csgraph import connected_components
 
 from vntoolkit.arrays import FloatArray, IntArray, Mask, Points
 from vntoolkit.errors import BadInput
-from vntoolkit.materials.labelling import agreed, prices_of_regions, spread_of, total_cost
+from vntoolkit.materials.mixtures import INDEPENDENT_PX, Spread
 from vntoolkit.materials.paint_levels import FALL, PAINT_STEP, Seams
-from vntoolkit.materials.pixels import INDEPENDENT_PX, Spread
 from vntoolkit.materials.reflectance import CAP, Lamps, Reflectance, best_fit, reflectance_from_fit
+from vntoolkit.materials.region_labels import agreed, prices_of_regions, spread_of, total_cost
 from vntoolkit.materials.region_lengths import (
     WEAK_PRIOR,
-    gather_lengths,
     lengths_of,
     normal_equations,
-    patches_of,
 )
 from vntoolkit.materials.regions import (
     SHADING_STEP,
@@ -37,7 +37,6 @@ from vntoolkit.materials.regions import (
     regions_of,
 )
 from vntoolkit.materials.split_frame import SplitFrame, split_frame, stacked
-from vntoolkit.native import njit
 from vntoolkit.options.reconstruction import MOST_MATERIALS
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
@@ -130,6 +129,16 @@ def find_materials(searched: SearchedFrames, count: int | None = None) -> list[M
     found, of_rig = _in_rigs_hue(found, regions, lamps, tolerance)
     materials = _fitted_each(found, of_rig, searched, tolerance)
     return sorted(materials, key=lambda material: -material.share)
+
+
+def fitted_again(searched: SearchedFrames, known: Points) -> list[Material]:
+    """Fit materials of reflectances (m, 3) that were found before again, in even light, in their order."""
+    regions, lamps = searched.regions, searched.split.lamps
+    _, tolerance = _reflectances_of_regions(regions, lamps)
+    found = _settled(np.log(known), None, regions, lamps, tolerance, _FIRST_ROUNDS, None)
+    found = _settled(found.logs, found.labels, regions, lamps, tolerance, 1, found.spread)
+    found, of_rig = _in_rigs_hue(found, regions, lamps, tolerance)
+    return _fitted_each(found, of_rig, searched, tolerance)
 
 
 def _fitted_each(found: _Found, of_rig: Mask, searched: SearchedFrames, tolerance: float) -> list[Material]:
@@ -315,7 +324,8 @@ def _of_unexplained(found: _Found, regions: Regions, lamps: Lamps, tolerance: fl
     doubtful = paid > _DOUBTFUL
     a, b = regions.sources, regions.neighbours
     alike = doubtful[a] & doubtful[b] & (np.abs(regions.steps).max(axis=1) < PAINT_STEP)
-    patches = patches_of(regions, alike)
+    graph = sparse.coo_array((np.ones(alike.sum()), (a[alike], b[alike])), shape=(regions.count,) * 2)
+    patches = connected_components(graph, directed=False)[1]
     sizes = np.bincount(patches, weights=regions.sizes * doubtful)
     proposals: list[Any] = []
     for patch in np.argsort(-sizes)[:_MOST_PATCHES]:
@@ -415,11 +425,8 @@ def _settled(
                 regions, logs[labels], lamps, weights, tolerance, reach
             )
             matrix[:], gradient = 0.0, np.zeros(size)
-            gather_lengths(labels, own_matrices, own_gradients, matrix, gradient)
-            _add_steps(
-                labels, paid, logs, regions.starts, regions.neighbours, regions.steps, regions.contacts,
-                matrix, gradient,
-            )  # fmt: skip
+            _add_lengths(labels, own_matrices, own_gradients, matrix, gradient)
+            _add_steps(labels, paid, logs, regions, matrix, gradient)
             bounded = free.T @ (matrix + damping) @ free
             step = (free @ np.linalg.solve(bounded, free.T @ gradient)).clip(-_LARGEST_STEP, _LARGEST_STEP)
             logs = logs + step.reshape(-1, 3)
@@ -450,32 +457,32 @@ def _numbers(regions: Regions) -> float:
     return _FEW + 1.5 * float(np.log(max(regions.sizes.sum() / INDEPENDENT_PX, 2.0)))
 
 
-@njit(cache=True, error_model="numpy")
+def _add_lengths(
+    labels: IntArray, matrices: FloatArray, gradients: FloatArray, matrix: FloatArray, gradient: FloatArray
+) -> None:
+    """Add the normal equations of lengths, (n, 3, 3) and (n, 3) of the regions, to those of the materials."""
+    places = 3 * labels[:, None] + np.arange(3)
+    np.add.at(gradient, places, gradients)
+    np.add.at(matrix, (places[:, :, None], places[:, None]), matrices)
+
+
 def _add_steps(
-    labels: Any, paid: Any, z: Any, starts: Any, neighbours: Any, steps: Any, contacts: Any, matrix: Any,
-    gradient: Any,
-) -> None:  # fmt: skip
+    labels: IntArray, paid: FloatArray, z: Points, regions: Regions, matrix: FloatArray, gradient: FloatArray
+) -> None:
     """Add the normal equations of the steps between materials, of log ρ z (m, 3)."""
-    for i in range(labels.size):
-        m = labels[i]
-        if paid[i] > _DOUBTFUL:
-            continue
-        for edge in range(starts[i], starts[i + 1]):
-            n = labels[neighbours[edge]]
-            if neighbours[edge] < i or n == m or paid[neighbours[edge]] > _DOUBTFUL:
-                continue
-            t = 0.0
-            for k in range(3):
-                rest = (steps[edge, k] - z[n, k] + z[m, k]) / SHADING_STEP
-                t += rest * rest
-            falling = 1.0 / (1.0 + t / (CAP * CAP))
-            weight = contacts[edge] * falling * falling / (SHADING_STEP * SHADING_STEP)
-            for k in range(3):
-                rest = steps[edge, k] - z[n, k] + z[m, k]
-                a, b = 3 * m + k, 3 * n + k
-                matrix[a, a] += weight
-                matrix[b, b] += weight
-                matrix[a, b] -= weight
-                matrix[b, a] -= weight
-                gradient[b] += weight * rest
-                gradient[a] -= weight * rest
+    i, j = regions.sources, regions.neighbours
+    told = (i < j) & (labels[i] != labels[j]) & (np.maximum(paid[i], paid[j]) <= _DOUBTFUL)
+    m, n = labels[i[told]], labels[j[told]]
+    rest = regions.steps[told] - z[n] + z[m]
+    falling = 1.0 / (1.0 + ((rest / SHADING_STEP) ** 2).sum(axis=1) / CAP**2)
+    weight = np.repeat((regions.contacts[told] * (falling / SHADING_STEP) ** 2)[:, None], 3, axis=1)
+    first, second = (3 * each[:, None] + np.arange(3) for each in (m, n))
+    for a, b, sign in (
+        (first, first, 1.0),
+        (second, second, 1.0),
+        (first, second, -1.0),
+        (second, first, -1.0),
+    ):
+        np.add.at(matrix, (a, b), sign * weight)
+    np.add.at(gradient, second, weight * rest)
+    np.add.at(gradient, first, -weight * rest)

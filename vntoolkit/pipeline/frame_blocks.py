@@ -17,7 +17,7 @@ from vntoolkit.io.results.manifest import Known
 from vntoolkit.native import loops_may_overlap
 from vntoolkit.options.reconstruction import OnError
 from vntoolkit.photometry.frame import ALL_LIT
-from vntoolkit.pipeline.frame_processor import FrameProcessor, PreparedFrame
+from vntoolkit.pipeline.frame_processor import Carried, FrameProcessor, PreparedFrame
 from vntoolkit.pipeline.outputs import FrameResult
 from vntoolkit.pipeline.request import Request
 from vntoolkit.pipeline.smoothing import smoothed_frames
@@ -54,7 +54,7 @@ class FrameBlockProcessor:
         )
         overlap = self._processor.finds_shadows and threads > 1 and loops_may_overlap()
         self._lanes = 2 if overlap else 1  # frames whose normals are found at a time
-        self._carried = self._processor.first_carried()
+        self._carried = Carried()
         if options.ties_depth or known.materials:
             at = known.reference_frame
             with contextlib.suppress(VntError):  # where it is met as a frame, it is reported

@@ -28,8 +28,8 @@ from vntoolkit.pipeline.outputs import FrameResult
 
 if TYPE_CHECKING:
     from vntoolkit.integration.integrate import DepthAnchor, DepthIntegrator
-    from vntoolkit.materials.labelling import MaterialLabeller
-    from vntoolkit.materials.pixels import MaterialLabels
+    from vntoolkit.materials.labelling import FrameStatistics, LabelState, MaterialLabeller
+    from vntoolkit.materials.mixtures import MaterialLabels
 
 _SAMPLES = (slice(None, None, 4),) * 2  # these pixels tell how bright a subject is
 
@@ -38,19 +38,19 @@ _SAMPLES = (slice(None, None, 4),) * 2  # these pixels tell how bright a subject
 class Carried:
     """What one frame of a sequence hands to the next; all else of a frame is its own.
 
-    labeller: has the labels of materials, None where all is the rig's. integrator: has the solution that the
-    next depth starts from. anchor: the depth that all frames are tied to, None for none.
+    labels: of materials. integrator: has the solution that the next depth starts from. Of the reference
+    frame, for all others, None for none: statistics, what it told of materials' noise, blur and lengths;
+    anchor, the depth that they are tied to.
     """
 
-    labeller: MaterialLabeller | None = None
+    labels: LabelState | None = None
+    statistics: FrameStatistics | None = None
     integrator: DepthIntegrator | None = None
     anchor: DepthAnchor | None = None
 
     def reset(self) -> None:
         """Drop what came from the frame before, so that a sequence may start at any frame."""
-        self.integrator = None
-        if self.labeller is not None:
-            self.labeller.forget()
+        self.integrator = self.labels = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -122,6 +122,18 @@ class FrameProcessor:
 
             self._shadows = ShadowedNormals(rig.response, options.shadows, self.camera, options.inversion)
         self._materials = materials
+        self._labeller: MaterialLabeller | None = None
+        if materials:
+            from vntoolkit.materials.labelling import MaterialLabeller
+
+            pigments = [each.pigment or (0.0, 0.0, 0.0) for each in materials]
+            self._labeller = MaterialLabeller(
+                response=self._central,
+                reflectances=np.array([each.reflectance for each in materials], dtype=np.float64),
+                pigments=np.array(pigments, dtype=np.float64),
+                camera=self.camera,
+                leveller=self._leveller,
+            )
 
     @property
     def finds_shadows(self) -> bool:
@@ -136,22 +148,10 @@ class FrameProcessor:
         matte: (h, w) pixels of interest of this frame, as filmed; None for those of every frame. carried:
         from the frame before; None for a frame alone. Raises `BadCapture` where it has no usable pixel.
         """
-        carried = carried or self.first_carried()
+        carried = carried or Carried()
         prepared = self.prepared(frame, matte, carried)
         result = self.normals(prepared)
         return self.with_surface(result, frame, carried)
-
-    def first_carried(self) -> Carried:
-        """Return what the first frame of a sequence is given."""
-        if not self._materials:
-            return Carried()
-        from vntoolkit.materials.labelling import MaterialLabeller
-
-        reflectances = np.array([each.reflectance for each in self._materials], dtype=np.float64)
-        pigments = np.array([each.pigment or (0.0, 0.0, 0.0) for each in self._materials], dtype=np.float64)
-        return Carried(
-            labeller=MaterialLabeller(self._central, reflectances, pigments, self.camera, self._leveller)
-        )
 
     def set_reference(
         self, carried: Carried, frame: EncodedFrame, matte: Mask | None = None, *, ties_depth: bool = True
@@ -170,8 +170,8 @@ class FrameProcessor:
                 carried.anchor = DepthAnchor(self._integrated(result, carried))
         else:
             self._labelled(frame, matte, carried)
-        if carried.labeller is not None:
-            carried.labeller.keep()
+        if carried.labels is not None:
+            carried.statistics = carried.labels.statistics
         carried.reset()
 
     # Video → linear RGB, and all in one material. Frames come in order.
@@ -179,12 +179,11 @@ class FrameProcessor:
     def prepared(self, frame: EncodedFrame, matte: Mask | None, carried: Carried) -> PreparedFrame:
         """Return a frame in linear light, and of one material; labels go on from the frame before."""
         mask, linear, materials = self._labelled(frame, matte, carried)
-        if linear is None or materials is None or carried.labeller is None:
+        if linear is None or materials is None or self._labeller is None or carried.labels is None:
             return PreparedFrame(frame=frame, mask=mask, linear=linear)
-        from vntoolkit.materials.relighting import box_of
-
-        linear = carried.labeller.relit(linear, materials, mask, box_of(mask))
-        turned_deg = carried.labeller.turned_deg
+        linear, turned_deg, carried.labels = self._labeller.relit(
+            linear, materials, carried.labels, mask, _box_of(mask)
+        )
         errors_deg = np.array([each.error_deg for each in self._materials])
         bounds_deg = (expected_error.OF_ANGLE * errors_deg).astype(np.float32)
         if bounds_deg.any():
@@ -202,10 +201,14 @@ class FrameProcessor:
         if self._is_plain(frame):
             return mask, None, None
         linear = self.linear(frame)
-        if carried.labeller is None:
+        if self._labeller is None:
             return mask, linear, None
+        from vntoolkit.materials.labelling import LabelState
+
         mask = self.lit_subject(linear, mask)
-        return mask, linear, carried.labeller.labels(linear, mask)
+        before = carried.labels or LabelState(statistics=carried.statistics)
+        labels, carried.labels = self._labeller.labels(linear, mask, before)
+        return mask, linear, labels
 
     def _mask_of(self, matte: Mask | None) -> Mask:
         return self.whole_mask if matte is None else self.whole_mask & self._resampler.mask(matte)
@@ -371,7 +374,7 @@ class FrameProcessor:
 
 
 def _box_of(mask: Mask) -> Box:
-    from vntoolkit.materials.relighting import box_of
+    from vntoolkit.materials.split_frame import box_of
 
     return box_of(mask)
 

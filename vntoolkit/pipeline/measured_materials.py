@@ -10,19 +10,21 @@ from scipy.ndimage import gaussian_filter
 from vntoolkit.arrays import FloatArray, Mask, Vector3
 from vntoolkit.errors import BadCapture, BadInput
 from vntoolkit.io.results.manifest import MaterialEntry
-from vntoolkit.materials.labelling import MaterialLabeller
-from vntoolkit.materials.pixels import MaterialLabels
+from vntoolkit.materials.labelling import LabelState, MaterialLabeller
+from vntoolkit.materials.mixtures import MaterialLabels
 from vntoolkit.materials.relighting import relit
 from vntoolkit.materials.search import (
     WORST_ERROR_DEG,
     Material,
     find_materials,
+    fitted_again,
     searched_frames,
 )
 from vntoolkit.materials.split_frame import block_size
 from vntoolkit.normals.inversion import relative_albedo_from_frame
 from vntoolkit.options.reconstruction import MaterialSearch, ReconstructOptions
 from vntoolkit.photometry.frame import LinearFrame
+from vntoolkit.photometry.levelling import leveller_of
 from vntoolkit.photometry.response import LightResponse, scaled_normals_from_rgb
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline.frame_processor import FrameProcessor
@@ -139,6 +141,38 @@ def measured_materials(
     return MeasuredMaterials(entries=[], relative_albedo=short)
 
 
+def refitted_materials(
+    rig: Rig,
+    options: ReconstructOptions,
+    materials: Sequence[MaterialEntry],
+    footage: Footage,
+    numbers: Sequence[int],
+    first: "LabelledFrame",
+) -> list[MaterialEntry]:
+    """Return the materials, fitted again to what the first frames show under lamps that are near.
+
+    The search takes the lamps' directions at the centre. With labels known, each pixel's own are taken.
+    first: the first frame, labelled by the materials as they were measured.
+    """
+    response, known = rig.response, np.array([entry.reflectance for entry in materials])
+    labeller, subjects = replace(first.labeller, reflectances=known), []
+    far: list[LinearFrame] = []
+    for each in first_frames(rig, options, footage, numbers):
+        labels = first.labels
+        if far:
+            told = LabelState(statistics=first.state.statistics)
+            labels, _ = labeller.labels(each.by_strength, each.subject, told)
+        light = relit(each.frame, response.central, labels, known, mask=each.subject)
+        plain = leveller_of(response, each.subject.shape).frame(light)
+        far.append(relit(plain, response.central, labels, 1.0 / known))
+        subjects.append(each.subject)
+    found = fitted_again(searched_frames(far, subjects, response.central), known)
+    values = np.array([each.reflectance.values for each in found])
+    labeller = replace(labeller, reflectances=values)
+    seen = replace(first, frame=far[0], mask=subjects[0], labeller=labeller)
+    return _entries(*_with_pigments(found, seen))
+
+
 def _told(found: list[Material], choice: MaterialSearch | int) -> list[Material]:
     """Return the materials, none where nothing can be told; say which are uncertain."""
     worst = max(material.reflectance.error_deg for material in found)
@@ -169,32 +203,37 @@ def _told(found: list[Material], choice: MaterialSearch | int) -> list[Material]
 class LabelledFrame:
     """A frame whose pixels are labelled, (h, w), by the materials of its labeller.
 
-    The labeller knows what the frame told of noise and blur.
+    state: what the frame told of noise and blur.
     """
 
     frame: LinearFrame
     mask: Mask
-    response: LightResponse
     labeller: MaterialLabeller
     labels: MaterialLabels
+    state: LabelState
 
     @classmethod
     def by(
         cls, found: list[Material], frame: LinearFrame, mask: Mask, response: LightResponse
     ) -> "LabelledFrame":
         """Label a frame."""
-        labeller = MaterialLabeller(response, np.array([each.reflectance.values for each in found]))
-        labels = labeller.labels(frame, mask)
-        labeller.keep()
-        return cls(frame=frame, mask=mask, response=response, labeller=labeller, labels=labels)
+        values = np.array([each.reflectance.values for each in found])
+        labeller = MaterialLabeller(response=response, reflectances=values)
+        labels, state = labeller.labels(frame, mask, LabelState())
+        return cls(frame=frame, mask=mask, labeller=labeller, labels=labels, state=state)
+
+    @property
+    def response(self) -> LightResponse:
+        """Of the rig."""
+        return self.labeller.response
 
     def left_at_seams(self) -> float:
         """Return the share of the steps of normals at seams that the materials do not explain."""
-        return self.labeller.left_at_seams(self.frame, self.mask, self.labels)
+        return self.labeller.left_at_seams(self.frame, self.mask, self.labels, self.state)
 
     def pigments(self) -> list[tuple[Vector3, Vector3] | None]:
         """Return for each material the line along which it changes and log ρ, or None."""
-        return self.labeller.pigments(self.frame, self.mask, self.labels)
+        return self.labeller.pigments_of(self.frame, self.mask, self.labels, self.state)
 
     def relit(self, found: list[Material], pigments: list[Vector3 | None]) -> FloatArray:
         """Return the colours (n, 3) of some sound pixels as they would be in the rig's material.
@@ -203,7 +242,7 @@ class LabelledFrame:
         """
         values = np.array([each.reflectance.values for each in found])
         along = np.array([np.zeros(3) if each is None else each for each in pigments])
-        rgb = relit(self.frame, self.response, self.labels, values, along, self.labeller.seams, self.mask).rgb
+        rgb = relit(self.frame, self.response, self.labels, values, along, self.state.seams, self.mask).rgb
         sound = np.flatnonzero(self.mask & ~self.frame.clipped)
         return rgb.reshape(-1, 3)[sound[:: max(1, len(sound) // _JUDGED)]].astype(np.float64)
 

@@ -15,7 +15,7 @@ from vntoolkit.io.maps_and_meshes.meshes import write_mesh
 from vntoolkit.io.results.manifest import FRAME_FILES
 
 if TYPE_CHECKING:
-    from vntoolkit.materials.pixels import MaterialLabels
+    from vntoolkit.materials.mixtures import MaterialLabels
     from vntoolkit.pipeline.contact import Contact
     from vntoolkit.shadows.lamp_directions import LampDirections
 

@@ -22,7 +22,7 @@ from vntoolkit.pipeline.frame_processor import FrameProcessor
 from vntoolkit.pipeline.request import Footage, Request, seeks_materials
 
 if TYPE_CHECKING:
-    from vntoolkit.materials.labelling import MaterialLabeller
+    from vntoolkit.materials.labelling import FrameStatistics
 
 logger = logging.getLogger(__name__)
 _DIGITS_OF_NEARNESS = 4
@@ -48,22 +48,28 @@ def prepare(request: Request, footage: Footage, numbers: Sequence[int]) -> Known
         assert doubts_deg is not None
         found |= {"light_colours": colours.tolist(), "light_doubts_deg": doubts_deg.tolist()}
     materials: list[MaterialEntry] = []
-    labeller = None
+    seen = None
     if not request.is_of_gel:
         from vntoolkit.pipeline.measured_materials import measured_materials
 
         measured = measured_materials(rig, options, footage, numbers, lamps_in_words)
-        materials = measured.entries
+        materials, seen = measured.entries, measured.seen
         found |= {"relative_albedo": measured.relative_albedo}
-        if measured.seen is not None:
-            labeller = measured.seen.labeller
     if examined is None or seeks_materials(rig, options):
-        examined = _examined(request, rig, footage, numbers, materials, labeller)
+        told = None if seen is None else seen.state.statistics
+        examined = _examined(request, rig, footage, numbers, materials, told)
     found |= {"blur_px": round(examined.blur_px, _DIGITS_OF_BLUR)}
     if rig.response.variation is None and not request.is_of_gel:
         found |= {"nearness": round(examined.nearness, _DIGITS_OF_NEARNESS)}
     findings = [FindingEntry(check=f.check, level=f.level.value, text=f.text) for f in examined.findings]
-    return Known.model_validate(found | {"findings": findings, "materials": materials})
+    known = Known.model_validate(found | {"findings": findings, "materials": materials})
+    near = known.with_rig(request.rig)
+    if seen is None or near.response.variation is None:
+        return known
+    from vntoolkit.pipeline.measured_materials import refitted_materials
+
+    again = refitted_materials(near, options, materials, footage, numbers, seen)
+    return known.model_copy(update={"materials": again})
 
 
 def _reference_frame(request: Request, footage: Footage, numbers: Sequence[int]) -> int:
@@ -99,18 +105,18 @@ def _examined(
     footage: Footage,
     numbers: Sequence[int],
     materials: Sequence[MaterialEntry] = (),
-    labeller: "MaterialLabeller | None" = None,
+    told: "FrameStatistics | None" = None,
 ) -> Examination:
     """Log and return what the footage tells of mistakes; raise `FatalFinding` for one that ruins normals.
 
-    labeller: of the materials as they were measured.
+    told: of the first frame, as materials were measured on it.
     """
     calibrated = rig if request.calibrated is None else replace(rig, transfer=request.calibrated)
     try:
         mask, judged = footage.mattes.judged(footage.capture, numbers)
         alike = None
         if materials:
-            alike = in_one_material(FrameProcessor(rig, request.options, mask), rig, materials, labeller)
+            alike = in_one_material(FrameProcessor(rig, request.options, mask), rig, materials, told)
         examined = examine_capture(footage.capture, calibrated, mask, judged, alike)
     except BadCapture as problem:  # a bad frame is reported when its turn comes
         logger.debug("plausibility not checked: %s", problem)
@@ -123,27 +129,22 @@ def in_one_material(
     processor: FrameProcessor,
     rig: Rig,
     materials: Sequence[MaterialEntry],
-    labeller: "MaterialLabeller | None" = None,
+    told: "FrameStatistics | None" = None,
 ) -> Callable[[LinearFrame], LinearFrame]:
     """Return what makes a frame look as if its subject were of the rig's material."""
-    from vntoolkit.materials.labelling import MaterialLabeller
-    from vntoolkit.materials.pixels import near_seams
+    from vntoolkit.materials.labelling import LabelState, MaterialLabeller
+    from vntoolkit.materials.mixtures import near_seams
     from vntoolkit.materials.relighting import relit
 
     central = rig.response.central
     reflectances = np.array([each.reflectance for each in materials])
     pigments = np.array([each.pigment or (0.0, 0.0, 0.0) for each in materials])
-    if labeller is None:
-        labeller = MaterialLabeller(central, reflectances)
-    else:
-        labeller = labeller.with_reflectances(reflectances)
+    labeller = MaterialLabeller(response=central, reflectances=reflectances)
 
     def judged(frame: LinearFrame) -> LinearFrame:
         # A backdrop's noise looks like dark paint. It would give the subject's rim a wrong label.
         subject: Mask = processor.lit_subject(frame)
-        labeller.forget()
-        labels = labeller.labels(processor.by_strength(frame), subject)
-        labeller.keep()
+        labels, _ = labeller.labels(processor.by_strength(frame), subject, LabelState(statistics=told))
         # lengths alone tell paint here: a surface without paint would fit any M; none is thought to be 1
         seen = relit(frame, central, labels, reflectances, pigments, mask=subject)
         return replace(seen, clipped=seen.clipped | near_seams(labels, _SEAM_PX))

@@ -19,7 +19,7 @@ from vntoolkit.geometry.mesh import MeshSequence
 from vntoolkit.io.footage.frame_range import sampled
 from vntoolkit.io.results.folder import begin_run, read_lock, require_same_request, write_lock
 from vntoolkit.io.results.sequences import MeshSequenceWriter, read_mesh_sequence
-from vntoolkit.materials.pixels import MaterialLabels
+from vntoolkit.materials.mixtures import MaterialLabels
 from vntoolkit.materials.relighting import relit
 from vntoolkit.options.tracking import Tracker, TrackingOptions
 from vntoolkit.photometry.frame import LinearFrame

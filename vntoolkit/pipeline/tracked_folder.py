@@ -105,9 +105,9 @@ def read_track_record(folder: Path) -> dict[str, Any]:
 
 
 def _request(record: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what tracks of two runs must agree in. A record of before some of it was kept agrees."""
+    """Return what tracks of two runs must agree in."""
     values = flat({k: v for k, v in record.items() if k not in ("version", "lost_px")})
-    return {"paint": False} | {_IN_WORDS.get(name, name): value for name, value in values.items()}
+    return {_IN_WORDS.get(name, name): value for name, value in values.items()}
 
 
 # Folder of what is tracked from the template back, until it is in place.
