@@ -41,7 +41,7 @@ def test_every_part_is_there(page: Path) -> None:
     for part in ("Sample frames", "Compared with the truth", "0.40°", "61°", "no usable pixel",
                  "Registered surface", "mean error"):  # fmt: skip
         assert part in text
-    assert f"the first is {SKIPPED}" in text
+    assert f"frame {SKIPPED}: skipped: " in text
     assert f"frame {SKIPPED} (f{SKIPPED})" in text  # stills keep their names
     assert text.count("data:image/webp;base64,") == 1  # the sample frames, in rows
     assert text.count("data:image/jpeg;base64,") == 1  # the checkerboard
@@ -124,7 +124,9 @@ def test_it_repeats_what_the_run_found(dome_result: DomeResult, tmp_path: Path) 
     known = manifest.known.model_copy(update={"findings": [clipped]})
     write_manifest(folder, manifest.model_copy(update={"known": known, "findings": [worse]}))
     page = write_report(folder).read_text()
-    assert page.index("half of the normals") < page.index("7.5% of the pixels") < page.index("Sample frames")
+    first = [page.index(finding.text) for finding in (worse, clipped)]
+    assert first == sorted(first)
+    assert first[1] < page.index("<h2>Sample frames")
     found = content_of_report(open_result(folder))["findings"]
     assert [finding["text"] for finding in found] == [worse.text, clipped.text]
     assert found[0]["frame"] == 2
