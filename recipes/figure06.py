@@ -45,7 +45,7 @@ def white_photograph(options: SceneOptions) -> tuple[np.ndarray, np.ndarray]:
 
 def main(out: Path) -> None:
     """Write figure06.png, figure06_curve.svg and numbers.json into the folder `out`."""
-    scene, free = build_scene("jacket", SceneOptions()), AlignmentOptions(free=Alignment.SIMILARITY)
+    scene, free = build_scene("jacket", SceneOptions()), AlignmentOptions(align=Alignment.SIMILARITY)
     coloured = render_frame(scene, 0)
     truth = coloured.truth.normals
     photographs = [white_photograph(SceneOptions(lighting=lamp)) for lamp in LAMPS]

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from tests.pipeline.conftest import DomeCapture, write_dome_capture
-from vntoolkit.cli.flags import Flags
 from vntoolkit.errors import BadCapture, BadInput, BadRig
 from vntoolkit.evaluation.angular_error import angles_between_deg
 from vntoolkit.geometry.camera import Camera
@@ -21,7 +20,6 @@ from vntoolkit.io.maps_and_meshes.maps import read_depth_map, read_normal_map
 from vntoolkit.io.maps_and_meshes.meshes import read_mesh
 from vntoolkit.io.results.frame_log import FrameEntry, FrameLog
 from vntoolkit.io.results.manifest import read_manifest
-from vntoolkit.options.footage import MatteOptions, SensorOptions
 from vntoolkit.options.normals import ShadowMethod
 from vntoolkit.options.reconstruction import OnError, Product, ReconstructOptions
 from vntoolkit.photometry.rig import FitQuality
@@ -60,15 +58,6 @@ def test_a_frame_of_another_size_than_the_rigs_is_refused(dome_capture: DomeCapt
     for work in (processor.process, partial(processor.set_reference, Carried())):
         with pytest.raises(BadInput, match=r"a\.png: expected shape 48 × 64 × 3, got 50 × 64 × 3"):
             work(frame)
-
-
-def test_defaults_that_the_command_line_fills_in_are_defaults(
-    dome_capture: DomeCapture, tmp_path: Path
-) -> None:
-    """A run that was begun with `--jobs 2` can be continued without it."""
-    job = job_of(dome_capture, tmp_path)
-    typed = replace(job, sensor=Flags().spread(SensorOptions)(), matting=Flags().spread(MatteOptions)())
-    assert typed.shaping_options() == job.shaping_options()
 
 
 def test_normals_depth_and_mesh_are_those_of_the_dome(dome_capture: DomeCapture, whole_run: Path) -> None:

@@ -1,43 +1,50 @@
 """`vntoolkit report`: write an HTML page on the quality of a reconstruction."""
 
-from json import dumps
+import json
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
 
-from cyclopts import Parameter
-
-from vntoolkit.cli.flags import Flags, verb
 from vntoolkit.cli.output import PAGE, print_next, require_output
+from vntoolkit.cli.verb import command, verb
 from vntoolkit.io.results.manifest import read_manifest
+from vntoolkit.options.base import File, OptionalFile, named
+from vntoolkit.options.footage import ReadingLimits
 from vntoolkit.options.pages import ReportOptions
 from vntoolkit.pipeline.opened_result import open_result
-from vntoolkit.report.report import content_of_report, write_report
+from vntoolkit.report import report as pages
 
 
-@verb("max_megapixels", "max_vertices")
-def report(
-    folder: Path,
-    *,
-    out: Path | None = None,
-    json: Annotated[bool, Parameter(negative=())] = False,
-    options: Annotated[ReportOptions | None, Flags()] = None,
-) -> None:
-    """Write one self-contained HTML page on a reconstruction: warnings, pictures, calibration, statistics.
+@dataclass(frozen=True, kw_only=True)
+class ReportArguments(ReportOptions, ReadingLimits):
+    """What `write_report` takes."""
 
-    Parameters
-    ----------
-    folder
-        The folder that `vntoolkit reconstruct` wrote.
-    out
-        The page to write; default FOLDER/report.html.
-    json
-        Print findings, frames and options as JSON instead.
-    """
-    require_output(out, PAGE)
-    if json:
-        print(dumps(content_of_report(open_result(folder)), indent=1))
+    folder: File = field(kw_only=False)
+    """The folder that `vntoolkit reconstruct` wrote."""
+    out: OptionalFile = named(None)
+    """The page to write; default FOLDER/report.html."""
+    json: bool = False
+    """Print findings, frames and options as JSON instead of writing a page. In Python the page is written."""
+
+
+def _written(asked: ReportArguments) -> Path:
+    require_output(asked.out, PAGE)
+    return pages.write_report(Path(asked.folder), asked.out, asked.part(ReportOptions))
+
+
+@verb(ReportArguments)
+def write_report(asked: ReportArguments) -> Path:
+    """Write one self-contained HTML page on a reconstruction: pictures, calibration, statistics, warnings."""
+    return _written(asked)
+
+
+@command(write_report)
+def report(asked: ReportArguments) -> None:
+    """Print the page's name and what comes next."""
+    folder = Path(asked.folder)
+    if asked.json:
+        print(json.dumps(pages.content_of_report(open_result(folder)), indent=1))
         return
-    print(write_report(folder, out, options))
+    print(_written(asked))
     if (folder / "track").is_dir():
         print_next("export", folder, "--to", "usd")
     elif (folder / "depth").is_dir() and read_manifest(folder).input.frame_count > 1:

@@ -173,7 +173,7 @@ def align_mesh(
     """
     options = options or AlignmentOptions()
     motion = Similarity(scale=1.0, rigid=RigidTransform())
-    if options.free is Alignment.NONE:
+    if options.align is Alignment.NONE:
         return mesh, motion
     for name, each in (("mesh", mesh), ("reference mesh", reference)):
         if len(positions(each)) < _FEWEST_VERTICES:
@@ -193,7 +193,7 @@ def align_mesh(
         moved = motion.apply(sampled)
         distances, nearest = tree.query(moved)
         kept = distances <= np.quantile(distances, _KEPT_SHARE)
-        step = _step(moved[kept], targets[nearest[kept]], normals[nearest[kept]], options.free)
+        step = _step(moved[kept], targets[nearest[kept]], normals[nearest[kept]], options.align)
         rigid = RigidTransform(
             rotation=step.rigid.rotation @ motion.rigid.rotation,
             translation=step.apply(motion.rigid.translation),

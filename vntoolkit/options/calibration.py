@@ -2,11 +2,13 @@
 
 from dataclasses import dataclass, field
 from enum import Enum
+from typing import Literal, TypeAlias
 
 import numpy as np
 
 from vntoolkit.checks import require_in_range, require_positive
 from vntoolkit.errors import BadInput
+from vntoolkit.options.base import Named, Options, named
 from vntoolkit.photometry.response import HIGHEST_DEGREE
 
 
@@ -17,6 +19,9 @@ class ResponseModel(Enum):
     AMBIENT = "ambient"  # 3×4: r = M n + a
 
 
+ResponseModelName: TypeAlias = Literal["linear", "ambient"]
+
+
 class FitMethod(Enum):
     """How outliers are left out."""
 
@@ -24,13 +29,16 @@ class FitMethod(Enum):
     MSAC = "msac"  # minimal samples with a truncated cost: many bad pairs
 
 
+FitMethodName: TypeAlias = Literal["trimmed", "msac"]
+
+
 @dataclass(frozen=True, kw_only=True)
-class ResponseFitOptions:
+class ResponseFitOptions(Options):
     """Options of the fit of a light response."""
 
-    model: ResponseModel = ResponseModel.LINEAR
+    model: Named[ResponseModel, ResponseModelName] = named(ResponseModel.LINEAR)
     """With or without ambient light."""
-    method: FitMethod = FitMethod.TRIMMED
+    method: Named[FitMethod, FitMethodName] = named(FitMethod.TRIMMED)
     """How outliers are left out."""
     shadow_share: float = 0.08
     """(trimmed) a pair counts as shadowed if a channel's estimated contribution is at most this fraction of
@@ -42,6 +50,7 @@ class ResponseFitOptions:
     """(MSAC) largest residual of an inlier, divided by the median length of the colours."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not 0 <= self.shadow_share < 1:
             raise BadInput(f"shadow share: expected 0 to 1, got {self.shadow_share:g}")
         if not (0 < self.outlier_sigmas < np.inf and 0 < self.inlier_share < np.inf):
@@ -49,7 +58,7 @@ class ResponseFitOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
-class IntrinsicsOptions:
+class IntrinsicsOptions(Options):
     """Options of the camera fit."""
 
     radial_terms: int = 1
@@ -59,12 +68,13 @@ class IntrinsicsOptions:
     """Number of tangential coefficients, 0 or 2."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.radial_terms not in (0, 1, 2) or self.tangential not in (0, 2):
             raise BadInput("intrinsics: expected 0 to 2 radial and 0 or 2 tangential terms")
 
 
 @dataclass(frozen=True, kw_only=True)
-class BoardOptions:
+class BoardOptions(Options):
     """Options of the calibration on a board."""
 
     largest_error_px: float = 1.0
@@ -78,12 +88,13 @@ class BoardOptions:
     """How M is fitted."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         require_positive(self.largest_error_px, "board: largest error in pixels")
         require_in_range(self.degree, 0, HIGHEST_DEGREE, "board: degree of the variation")
 
 
 @dataclass(frozen=True, kw_only=True)
-class SphereOptions:
+class SphereOptions(Options):
     """Options of the calibration on a ball."""
 
     rim_share: float = 0.02
@@ -93,6 +104,7 @@ class SphereOptions:
     """How M is fitted."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not 0 <= self.rim_share < 0.5:
             raise BadInput(f"rim share: expected 0 to 0.5, got {self.rim_share:g}")
 
@@ -104,6 +116,9 @@ class LightColours(Enum):
     CHANNELS = "channels"  # light k alone is seen by channel k: three photographs stacked as one
 
 
+LightColoursName: TypeAlias = Literal["given", "channels"]
+
+
 class LabelOffset(Enum):
     """Whether the circles are used as they are, or moved so that ball and flat gel agree."""
 
@@ -112,8 +127,11 @@ class LabelOffset(Enum):
     NONE = "none"
 
 
+LabelOffsetName: TypeAlias = Literal["common", "own", "none"]
+
+
 @dataclass(frozen=True, kw_only=True)
-class PressOptions:
+class PressOptions(Options):
     """Options of the calibration on presses."""
 
     ball_radius_mm: float
@@ -127,13 +145,14 @@ class PressOptions:
     flat_share: float = 0.67
     """Pixels drawn where the gel lies flat, over those of the contact; more make the gel around a touch
     flatter and the ball less round."""
-    label_offset: LabelOffset = LabelOffset.COMMON
+    label_offset: Named[LabelOffset, LabelOffsetName] = named(LabelOffset.COMMON)
     """Whether the circles move to their dents."""
     outlier_sigmas: float = 4.0
     """Pixels whose colour differs from M's by more than this many robust standard deviations (dots, creases)
     are left out of M's fit."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not (0 < self.ball_radius_mm < np.inf and 0 < self.pixel_mm < np.inf):
             raise BadInput("presses: expected a positive ball radius and pixel size in mm")
         if not 0 < self.contact_share <= 1:

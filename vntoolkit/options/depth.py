@@ -2,9 +2,11 @@
 
 from dataclasses import dataclass
 from enum import Enum
+from typing import Literal, TypeAlias
 
 from vntoolkit.checks import require_in_range
 from vntoolkit.errors import BadInput
+from vntoolkit.options.base import Named, Options, named
 
 
 class Integrator(Enum):
@@ -22,6 +24,9 @@ class Integrator(Enum):
     DISCONTINUITY = "discontinuity"
 
 
+IntegratorName: TypeAlias = Literal["fourier", "cosine", "poisson", "discontinuity"]
+
+
 class Precision(Enum):
     """Floating point format of the spectral integrators: SINGLE is exact to about 1e-6 of the range."""
 
@@ -29,11 +34,14 @@ class Precision(Enum):
     DOUBLE = "double"
 
 
+PrecisionName: TypeAlias = Literal["single", "double"]
+
+
 @dataclass(frozen=True, kw_only=True)
-class IntegrationOptions:
+class IntegrationOptions(Options):
     """Options of `DepthIntegrator`."""
 
-    integrator: Integrator | None = None
+    integrator: Named[Integrator | None, IntegratorName | None] = named(None)
     """How slopes become depth: fourier or cosine over a full rectangle, poisson inside any mask, or
     discontinuity, which lets depth jump where the normals suggest it; by default cosine where every pixel is
     used, else poisson."""
@@ -42,7 +50,7 @@ class IntegrationOptions:
     keeps grazing and backward normals from exploding."""
     least_weight: float = 0.02
     """Pixels of lower confidence leave the domain (0 to 1)."""
-    precision: Precision = Precision.SINGLE
+    precision: Named[Precision, PrecisionName] = named(Precision.SINGLE)
     """Floating-point precision of cosine and fourier."""
     tolerance: float = 1e-5
     """Relative residual at which poisson stops."""
@@ -50,6 +58,7 @@ class IntegrationOptions:
     """Most iterations of poisson; reaching them is an error."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         require_in_range(self.steepest_slope_deg, 1.0, 89.9, "steepest slope in degrees")
         require_in_range(self.least_weight, 0.0, 1.0, "least weight")
         require_in_range(self.tolerance, 1e-12, 1e-2, "tolerance of the linear solver")
@@ -57,7 +66,7 @@ class IntegrationOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
-class MeshOptions:
+class MeshOptions(Options):
     """How depth becomes triangles."""
 
     largest_step: float = 10.0
@@ -67,6 +76,7 @@ class MeshOptions:
     """Use every stride-th pixel in both directions."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not self.largest_step > 0:
             raise BadInput(f"largest step: expected a positive number of pixels, got {self.largest_step:g}")
         if self.stride < 1:

@@ -2,10 +2,12 @@
 
 from dataclasses import dataclass, field
 from enum import Enum
+from typing import Literal, TypeAlias
 
 import numpy as np
 
 from vntoolkit.errors import BadInput
+from vntoolkit.options.base import Named, Options, named
 
 
 class Garment(Enum):
@@ -31,6 +33,11 @@ class Garment(Enum):
         return self in (Garment.SWEATER, Garment.SHIRT, Garment.JACKET)
 
 
+GarmentName: TypeAlias = Literal[
+    "auto", "sweater", "shirt", "jacket", "sleeveless", "trousers", "skirt", "overall"
+]
+
+
 class DepthPlacement(Enum):
     """Where the bones lie in depth: in the CENTRE of the garment, at its REAR (it was seen from the front
     only), or AUTO: at the rear of an open sheet, in the centre of a closed garment.
@@ -41,6 +48,9 @@ class DepthPlacement(Enum):
     REAR = "rear"
 
 
+DepthPlacementName: TypeAlias = Literal["auto", "centre", "rear"]
+
+
 class ArmPose(Enum):
     """How the arms are held when the garment is attached: aimed at its SLEEVES, or as in the file's REST."""
 
@@ -48,24 +58,28 @@ class ArmPose(Enum):
     REST = "rest"
 
 
+ArmPoseName: TypeAlias = Literal["sleeves", "rest"]
+
+
 @dataclass(frozen=True, kw_only=True)
-class GarmentFitOptions:
+class GarmentFitOptions(Options):
     """How the garment is brought onto the figure."""
 
-    garment: Garment = Garment.AUTO
+    garment: Named[Garment, GarmentName] = named(Garment.AUTO)
     """What it is. Upper garments hang from the neck, and their sleeves on the arms; sleeveless ones leave the
     arms alone. Trousers and skirts hang from the waist and follow the legs. auto tells trousers by the
     outline, but not a skirt."""
     fullness: float | None = None
     """Height of the garment over the height of what it covers, hips to neck or hips to feet. Default: 1.3;
     trousers 1.05, a skirt 0.65."""
-    depth: DepthPlacement = DepthPlacement.AUTO
+    depth: Named[DepthPlacement, DepthPlacementName] = named(DepthPlacement.AUTO)
     """Where the bones lie in the garment's depth."""
-    arms: ArmPose = ArmPose.SLEEVES
+    arms: Named[ArmPose, ArmPoseName] = named(ArmPose.SLEEVES)
     """Pose of the arms when the garment is attached. A fit file that gives a pose or landmarks overrides it.
     """
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.fullness is not None and not 0 < self.fullness < np.inf:
             raise BadInput(f"fullness: expected a positive number, got {self.fullness:g}")
 
@@ -85,14 +99,17 @@ class Falloff(Enum):
     CONTINUOUS = "continuous"
 
 
+FalloffName: TypeAlias = Literal["heat", "inverse", "continuous"]
+
+
 _BONES = {Falloff.HEAT: 8, Falloff.INVERSE: 4, Falloff.CONTINUOUS: 4}
 
 
 @dataclass(frozen=True, kw_only=True)
-class WeightOptions:
+class WeightOptions(Options):
     """Options of the skinning weights."""
 
-    falloff: Falloff = Falloff.HEAT
+    falloff: Named[Falloff, FalloffName] = named(Falloff.HEAT)
     """How a vertex weighs its bones: heat, by heat along the cloth; inverse, by the inverse distance as
     published; continuous, the same without tears."""
     neighbours: int | None = None
@@ -104,6 +121,7 @@ class WeightOptions:
     """Joints whose bones get no weight, as names or patterns (`*Hand*`)."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.neighbours is not None and self.neighbours < 1:
             raise BadInput(f"neighbours: expected at least 1, got {self.neighbours}")
         if not 0 < self.distance_power < np.inf:
@@ -128,8 +146,11 @@ class Loop(Enum):
     PING_PONG = "ping-pong"
 
 
+LoopName: TypeAlias = Literal["none", "repeat", "ping-pong"]
+
+
 @dataclass(frozen=True, kw_only=True)
-class ClockOptions:
+class ClockOptions(Options):
     """Start, end and rate of the result."""
 
     start: float = 0.0
@@ -138,13 +159,14 @@ class ClockOptions:
     """Second of the motion at which it ends. Default: the motion's end."""
     speed: float = 1.0
     """Seconds of motion per second of result."""
-    loop: Loop = Loop.NONE
+    loop: Named[Loop, LoopName] = named(Loop.NONE)
     """What a cloth shorter than the motion does."""
     frame_rate_hz: float | None = None
     """Frames per second of the result. Default: the cloth's. Blender plays a file at its scene's rate, 24
     unless you set it to the file's."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         for name, value in (("speed", self.speed), ("frame rate", self.frame_rate_hz)):
             if value is not None and not 0 < value < np.inf:
                 raise BadInput(f"{name}: expected a positive number, got {value:g}")
@@ -166,11 +188,17 @@ class Anchor(Enum):
     NONE = "none"
 
 
+AnchorName: TypeAlias = Literal["bones", "trunk", "none"]
+
+
 class Blend(Enum):
     """How a vertex mixes the motions of its bones: LINEAR as published, DUAL_QUATERNION rigidly."""
 
     LINEAR = "linear"
     DUAL_QUATERNION = "dual-quaternion"
+
+
+BlendName: TypeAlias = Literal["linear", "dual-quaternion"]
 
 
 FIGURE_HEIGHT_M = 1.65  # toes to crown of an average adult, as skeletons measure it
@@ -186,6 +214,9 @@ class Carrier(Enum):
     CACHE = "cache"
 
 
+CarrierName: TypeAlias = Literal["skin", "cache"]
+
+
 class MotionUpAxis(Enum):
     """Which axis of the motion file points up; AUTO takes the longer of y and z of the rest pose."""
 
@@ -194,25 +225,28 @@ class MotionUpAxis(Enum):
     Z = "z"
 
 
+MotionUpAxisName: TypeAlias = Literal["auto", "y", "z"]
+
+
 @dataclass(frozen=True, kw_only=True)
-class DressOptions:
+class DressOptions(Options):
     """Options of `dress`, beyond those of its stages."""
 
-    blend: Blend = Blend.LINEAR
+    blend: Named[Blend, BlendName] = named(Blend.LINEAR)
     """How a vertex mixes the motions of its bones."""
-    anchor: Anchor = Anchor.BONES
+    anchor: Named[Anchor, AnchorName] = named(Anchor.BONES)
     """What of the captured motion is taken out. bones: that of the performer's trunk and arms, so that the
     sleeves follow the figure's arms alone; folds keep moving. trunk: that of the trunk, so that captured
     sleeves swing on top of the figure's. none keeps the performer's steps too."""
     figure_height: float = FIGURE_HEIGHT_M
     """Metres from the toes to the crown, for motion files that carry no unit."""
-    up_axis: MotionUpAxis = MotionUpAxis.AUTO
+    up_axis: Named[MotionUpAxis, MotionUpAxisName] = named(MotionUpAxis.AUTO)
     """Which axis of the motion file points up."""
     max_stretch: float = 3.0
     """Largest stretch of a triangle's edge where the parts of two bones meet. A triangle that the motion
     stretches more is cut: the capture joined what only touched, such as sleeve and flank. 0 cuts nothing;
     weights by distance cut nothing either."""
-    carrier: Carrier = Carrier.SKIN
+    carrier: Named[Carrier, CarrierName] = named(Carrier.SKIN)
     """What moves the cloth in USD and GLB: a skin (joint weights, and blend shapes for the folds), or a cache
     of every vertex in every frame, exact and large. Dual quaternions are written as a cache."""
     centre: bool = True
@@ -225,6 +259,7 @@ class DressOptions:
     clock: ClockOptions = field(default_factory=ClockOptions)
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not 0 < self.figure_height < np.inf:
             raise BadInput(f"figure height: expected positive metres, got {self.figure_height:g}")
         if self.max_stretch != 0 and not self.max_stretch > 1:

@@ -2,8 +2,10 @@
 
 from dataclasses import dataclass
 from enum import Enum
+from typing import Literal, TypeAlias
 
 from vntoolkit.errors import BadInput
+from vntoolkit.options.base import Named, Options, named
 
 
 class MeasuredBy(Enum):
@@ -11,6 +13,9 @@ class MeasuredBy(Enum):
 
     EMBREE = "embree"  # the exact nearest point, however far, through Open3D
     PYMESHLAB = "pymeshlab"  # MeshLab's own search, to compare with
+
+
+MeasuredByName: TypeAlias = Literal["embree", "pymeshlab"]
 
 
 class Alignment(Enum):
@@ -21,16 +26,20 @@ class Alignment(Enum):
     SIMILARITY = "similarity"  # and one scale: that of a perspective camera's depth
 
 
+AlignmentName: TypeAlias = Literal["none", "rigid", "similarity"]
+
+
 @dataclass(frozen=True, kw_only=True)
-class AlignmentOptions:
+class AlignmentOptions(Options):
     """How meshes are aligned."""
 
-    free: Alignment = Alignment.NONE
+    align: Named[Alignment, AlignmentName] = named(Alignment.NONE)
     """What may move: nothing, position and orientation (rigid), or the scale too (similarity)."""
     samples: int = 20000
     """Vertices that are paired."""
 
     def __post_init__(self) -> None:
         """Refuse what leaves nothing to align by."""
+        super().__post_init__()
         if self.samples < 3:
             raise BadInput(f"alignment: expected at least 3 samples, got {self.samples}")

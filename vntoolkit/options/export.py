@@ -2,8 +2,10 @@
 
 from dataclasses import dataclass
 from enum import Enum
+from typing import Literal, TypeAlias
 
 from vntoolkit.errors import BadInput
+from vntoolkit.options.base import Named, Options, named
 
 
 class NormalConvention(Enum):
@@ -25,6 +27,9 @@ class NormalConvention(Enum):
         ]
 
 
+NormalConventionName: TypeAlias = Literal["opengl", "directx", "opencv"]
+
+
 class MeshUpAxis(Enum):
     """Which axis of a mesh file points up.
 
@@ -43,8 +48,11 @@ class MeshUpAxis(Enum):
         return "x right, y away from the viewer, z up"
 
 
+MeshUpAxisName: TypeAlias = Literal["y", "z"]
+
+
 @dataclass(frozen=True, kw_only=True)
-class CleanOptions:
+class CleanOptions(Options):
     """What to clean."""
 
     smallest_piece: int = 100
@@ -55,6 +63,7 @@ class CleanOptions:
     """Reduce to this many triangles by quadric edge collapse; default: keep all."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if min(self.smallest_piece, self.largest_hole) < 0:
             raise BadInput("cleaning: expected smallest piece and largest hole of 0 or more")
         if self.most_faces is not None and self.most_faces < 1:
@@ -74,12 +83,18 @@ class ExportFormat(Enum):
     PNG = "png"  # 16-bit normal maps
 
 
+ExportFormatName: TypeAlias = Literal["ply", "obj", "usd", "glb", "points", "npz", "diligent", "png"]
+
+
 class ExportedSurface(Enum):
     """Which meshes: of one topology, or a new one every frame."""
 
     AUTO = "auto"  # the registered surface where there is one
     TRACKED = "tracked"
     FRAMES = "frames"
+
+
+ExportedSurfaceName: TypeAlias = Literal["auto", "tracked", "frames"]
 
 
 class FileUnit(Enum):
@@ -95,11 +110,14 @@ class FileUnit(Enum):
         return {"m": 1.0, "cm": 0.01, "mm": 0.001}[self.value]
 
 
+FileUnitName: TypeAlias = Literal["m", "cm", "mm"]
+
+
 _OF_MESHES = (ExportFormat.PLY, ExportFormat.OBJ, ExportFormat.USD, ExportFormat.GLB)
 
 
 @dataclass(frozen=True, kw_only=True)
-class ExportOptions:
+class ExportOptions(Options):
     """Options of an export."""
 
     to: ExportFormat
@@ -107,16 +125,16 @@ class ExportOptions:
     Blender keeps its own). glb: one animated file of a registered surface, else one a frame. ply, obj: a mesh
     a frame. points: a point cloud a frame as .ply, of all pixels with a depth. npz: arrays. png: 16-bit
     normal maps. diligent: a folder a frame, laid out like the benchmark's."""
-    normal_convention: NormalConvention = NormalConvention.OPENGL
+    normal_convention: Named[NormalConvention, NormalConventionName] = named(NormalConvention.OPENGL)
     """Axes of normal maps (png, npz, diligent)."""
-    units: FileUnit | None = None
+    units: Named[FileUnit | None, FileUnitName | None] = named(None)
     """Length unit of the files, for a result that has a scale. Default: metres; without a scale, lengths stay
     as they are."""
-    up: MeshUpAxis = MeshUpAxis.Y
+    up: Named[MeshUpAxis, MeshUpAxisName] = named(MeshUpAxis.Y)
     """Axis that points up in meshes."""
     scale: float | None = None
     """Metres for a length of 1 in a result that has no scale of its own (lengths in pixels, or free)."""
-    mesh: ExportedSurface = ExportedSurface.AUTO
+    mesh: Named[ExportedSurface, ExportedSurfaceName] = named(ExportedSurface.AUTO)
     """Which meshes: tracked (the registered surface), frames (those of each frame), or auto (the registered
     one where there is one)."""
     centre: bool = True
@@ -126,6 +144,7 @@ class ExportOptions:
     """What is cleaned of the frames' meshes; None for nothing."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.scale is not None and not self.scale > 0:
             raise BadInput(f"scale: expected a positive number of metres, got {self.scale:g}")
         if self.to is ExportFormat.GLB and (

@@ -3,13 +3,15 @@
 import math
 from dataclasses import dataclass
 from enum import Enum
+from typing import Literal, TypeAlias
 
 from vntoolkit.checks import require_in_range
 from vntoolkit.errors import BadInput
+from vntoolkit.options.base import Named, Options, named
 
 
 @dataclass(frozen=True, kw_only=True)
-class ReadingLimits:
+class ReadingLimits(Options):
     """The largest files that are read."""
 
     max_megapixels: float = 200.0
@@ -19,6 +21,7 @@ class ReadingLimits:
 
     def __post_init__(self) -> None:
         """Refuse limits that would let everything in, or nothing."""
+        super().__post_init__()
         if not self.max_megapixels > 0 or math.isinf(self.max_megapixels):
             raise BadInput(
                 f"--max-megapixels: expected a number above 0, such as 400, got {self.max_megapixels:g}"
@@ -36,6 +39,9 @@ class Gaps(Enum):
     SKIP = "skip"
 
 
+GapsName: TypeAlias = Literal["refuse", "skip"]
+
+
 class Bayer(Enum):
     """The colours of the top left 2×2 pixels, row by row; GenICam's BayerRG is rggb, and so on."""
 
@@ -43,6 +49,9 @@ class Bayer(Enum):
     BGGR = "bggr"
     GRBG = "grbg"
     GBRG = "gbrg"
+
+
+BayerName: TypeAlias = Literal["rggb", "bggr", "grbg", "gbrg"]
 
 
 class Demosaic(Enum):
@@ -54,14 +63,17 @@ class Demosaic(Enum):
     HALF = "half"  # not at all: 2×2 pixels become one
 
 
+DemosaicName: TypeAlias = Literal["bilinear", "edge", "half"]
+
+
 @dataclass(frozen=True, kw_only=True)
-class SensorOptions:
+class SensorOptions(Options):
     """How a sensor's own samples are read."""
 
-    bayer: Bayer | None = None
+    bayer: Named[Bayer | None, BayerName | None] = named(None)
     """Colours of the top left 2×2 pixels, row by row, of frames stored as grey. Camera raw files, and files
     that state it, need none."""
-    demosaic: Demosaic = Demosaic.BILINEAR
+    demosaic: Named[Demosaic, DemosaicName] = named(Demosaic.BILINEAR)
     """How the missing colours of a Bayer mosaic are found: bilinear, edge (along edges), or half (2×2 pixels
     become one of half the picture's size)."""
     bits: int | None = None
@@ -69,12 +81,13 @@ class SensorOptions:
     in 16-bit PNG."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.bits is not None:
             require_in_range(self.bits, 1, 16, "capture: bits")
 
 
 @dataclass(frozen=True, kw_only=True)
-class MatteOptions:
+class MatteOptions(Options):
     """How a matte becomes a mask."""
 
     mask_level: float = 0.5
@@ -85,6 +98,7 @@ class MatteOptions:
     """
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         require_in_range(self.mask_level, 0.0, 1.0, "mask level")
         if self.key is not None:
             require_in_range(self.key, 1e-6, 1.0, "key")

@@ -2,10 +2,11 @@
 
 from dataclasses import dataclass, field, replace
 from enum import Enum
-from typing import Self
+from typing import Literal, Self, TypeAlias
 
 from vntoolkit.errors import BadInput
-from vntoolkit.options.calibration import ResponseModel
+from vntoolkit.options.base import Named, Options, named
+from vntoolkit.options.calibration import ResponseModel, ResponseModelName
 
 
 class Features(Enum):
@@ -13,6 +14,9 @@ class Features(Enum):
 
     TRACKS = "tracks"  # skin followed by optical flow: video, up to 4 degrees from frame to frame
     SIFT = "sift"  # features matched: photographs, up to 20 degrees apart; slower
+
+
+FeaturesName: TypeAlias = Literal["tracks", "sift"]
 
 
 class HeadShape(Enum):
@@ -23,8 +27,11 @@ class HeadShape(Enum):
     REFINED = "refined"  # fused, then corrected by the normals that its colours give, in turns with M
 
 
+HeadShapeName: TypeAlias = Literal["hull", "fused", "refined"]
+
+
 @dataclass(frozen=True, kw_only=True)
-class SilhouetteOptions:
+class SilhouetteOptions(Options):
     """Options of the silhouettes."""
 
     threshold: float | None = None
@@ -32,12 +39,13 @@ class SilhouetteOptions:
     to the edge beside it; default: found from the image's border."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.threshold is not None and not 0 < self.threshold < 1:
             raise BadInput(f"silhouette threshold: expected 0 to 1, got {self.threshold:g}")
 
 
 @dataclass(frozen=True, kw_only=True)
-class TrackOptions:
+class TrackOptions(Options):
     """Options of the tracks."""
 
     corners: int = 2000
@@ -50,15 +58,16 @@ class TrackOptions:
     """Least distance of a corner from the silhouette's edge, pixels."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.corners < 50 or self.window_px < 5 or self.corner_spacing_px < 1 or self.margin_px < 0:
             raise BadInput("tracks: expected at least 50 corners, a window of 5 px and no negative distance")
 
 
 @dataclass(frozen=True, kw_only=True)
-class FollowOptions:
+class FollowOptions(Options):
     """How frames are matched."""
 
-    features: Features = Features.TRACKS
+    features: Named[Features, FeaturesName] = named(Features.TRACKS)
     """What is matched between frames: tracks of the skin (video), or SIFT features (photographs up to 20
     degrees apart)."""
     silhouettes: SilhouetteOptions = field(default_factory=SilhouetteOptions)
@@ -72,11 +81,14 @@ class PoseStart(Enum):
     MAPPING = "mapping"  # frame by frame from pairs; frames may lie 20 degrees apart
 
 
+PoseStartName: TypeAlias = Literal["factorisation", "mapping"]
+
+
 LEAST_TRACKS = 60
 
 
 @dataclass(frozen=True, kw_only=True)
-class PoseOptions:
+class PoseOptions(Options):
     """Options of the poses."""
 
     pose_tracks: int = 2000
@@ -85,6 +97,7 @@ class PoseOptions:
     """Smallest turn from one end to the other that carries a calibration."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.pose_tracks < LEAST_TRACKS or not 0 < self.least_turn_deg < 180:
             raise BadInput(
                 f"poses: expected at least {LEAST_TRACKS} tracks and a least turn from 0 to 180 degrees"
@@ -92,13 +105,14 @@ class PoseOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
-class HullOptions:
+class HullOptions(Options):
     """How finely the hull is carved."""
 
     hull_cells: int = 128
     """Cells along the longest side of the box."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not 16 <= self.hull_cells <= 512:
             raise BadInput(f"hull: expected 16 to 512 cells, got {self.hull_cells}")
 
@@ -111,7 +125,7 @@ _CLOSE = 0.012  # of the diagonal: how far the second and third pass search to b
 
 
 @dataclass(frozen=True, kw_only=True)
-class StereoOptions:
+class StereoOptions(Options):
     """Options of the search for depth."""
 
     references: int = 11
@@ -134,6 +148,7 @@ class StereoOptions:
     """Standard deviation of the smoothing of the depth in a map."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.references < 1 or self.stereo_window_px < 5 or self.stereo_window_px % 2 == 0:
             raise BadInput("stereo: expected at least one reference and an odd window of 5 px or more")
         if not self.neighbour_angles_deg or min(self.neighbour_angles_deg) <= 0:
@@ -163,7 +178,7 @@ _DEEPEST = 12  # levels of an octree
 
 
 @dataclass(frozen=True, kw_only=True)
-class FusionOptions:
+class FusionOptions(Options):
     """How depths become a mesh."""
 
     fusion_depth: int = 7
@@ -179,6 +194,7 @@ class FusionOptions:
     diagonal."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not 4 <= self.fusion_depth <= _DEEPEST or self.confirmations < 0:
             raise BadInput("fusion: expected a depth of 4 to 12 and no negative number of confirmations")
         if min(self.agreement, self.hull_gap) <= 0:
@@ -190,7 +206,7 @@ class FusionOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SampleOptions:
+class SampleOptions(Options):
     """Where colours are taken."""
 
     light_frames: int = 14
@@ -199,15 +215,16 @@ class SampleOptions:
     """Points of the skin, spread over orientations."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.light_frames < 3 or self.light_points < 100:
             raise BadInput("light: expected at least 3 frames and 100 points")
 
 
 @dataclass(frozen=True, kw_only=True)
-class LightOptions:
+class LightOptions(Options):
     """Options of the fit of M to skin."""
 
-    light_model: ResponseModel = ResponseModel.LINEAR
+    light_model: Named[ResponseModel, ResponseModelName] = named(ResponseModel.LINEAR)
     """3×3, or 3×4 with ambient light, for skin of one albedo only: on bare skin, variation of albedo passes
     for ambient light."""
     light_draws: int = 1500
@@ -216,18 +233,19 @@ class LightOptions:
     """Largest colour error of an inlier over its colour's length."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.light_draws < 1 or not 0 < self.light_inlier < 1:
             raise BadInput("light: expected at least one draw and an inlier share from 0 to 1")
 
 
 @dataclass(frozen=True, kw_only=True)
-class HeadOptions:
+class HeadOptions(Options):
     """Options of all stages."""
 
-    head_shape: HeadShape = HeadShape.REFINED
+    head_shape: Named[HeadShape, HeadShapeName] = named(HeadShape.REFINED)
     """Shape that gives the normals: from silhouettes only, fused with stereo, or refined by the normals of
     all frames."""
-    pose_start: PoseStart | None = None
+    pose_start: Named[PoseStart | None, PoseStartName | None] = named(None)
     """Initialisation of the poses; default: factorisation for tracks; mapping for features, or factorisation
     where mapping fails."""
     following: FollowOptions = field(default_factory=FollowOptions)

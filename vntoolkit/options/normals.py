@@ -2,9 +2,11 @@
 
 from dataclasses import dataclass
 from enum import Enum
+from typing import Literal, TypeAlias
 
 from vntoolkit.checks import require_positive
 from vntoolkit.errors import BadInput
+from vntoolkit.options.base import Named, Options, named
 
 
 class ClippedPixels(Enum):
@@ -14,8 +16,11 @@ class ClippedPixels(Enum):
     EXCLUDE = "exclude"
 
 
+ClippedPixelsName: TypeAlias = Literal["downweight", "exclude"]
+
+
 @dataclass(frozen=True, kw_only=True)
-class InversionOptions:
+class InversionOptions(Options):
     """How colours become normals."""
 
     relative_albedo: float = 1.0
@@ -25,10 +30,11 @@ class InversionOptions:
     """Relative departure from the expected albedo that halves a pixel's weight."""
     darkest: float = 0.05
     """Share of the expected albedo below which a pixel is black and has no normal."""
-    clipped: ClippedPixels = ClippedPixels.DOWNWEIGHT
+    clipped: Named[ClippedPixels, ClippedPixelsName] = named(ClippedPixels.DOWNWEIGHT)
     """What becomes of saturated pixels."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         require_positive(self.relative_albedo, "relative albedo")
         require_positive(self.albedo_tolerance, "albedo tolerance")
         if not 0 < self.darkest < 1:
@@ -46,6 +52,9 @@ class ShadowMethod(Enum):
     NONE = "none"  # every pixel counts as lit by all three lights
     PUBLISHED = "published"  # edges and flood fill, brostow2011
     ROBUST = "robust"  # comparison with a surface, graph cut
+
+
+ShadowMethodName: TypeAlias = Literal["none", "published", "robust"]
 
 
 class RecoveryMethod(Enum):

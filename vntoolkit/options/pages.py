@@ -3,12 +3,14 @@
 import math
 from dataclasses import dataclass
 from enum import Enum
+from typing import Literal, TypeAlias
 
 from vntoolkit.errors import BadInput
+from vntoolkit.options.base import Options
 
 
 @dataclass(frozen=True, kw_only=True)
-class ViewerOptions:
+class ViewerOptions(Options):
     """Where the page is served."""
 
     host: str = "127.0.0.1"
@@ -17,12 +19,13 @@ class ViewerOptions:
     """Port of the page; the next free one is taken where it is in use."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not 0 < self.port < 65536:
             raise BadInput(f"port: expected 1 to 65535, got {self.port}")
 
 
 @dataclass(frozen=True, kw_only=True)
-class ScenePageOptions:
+class ScenePageOptions(Options):
     """How much of a reconstruction goes into an offline page."""
 
     vertices: int = 12_000
@@ -34,12 +37,13 @@ class ScenePageOptions:
     pixels take about 0.3 MB a frame."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.vertices < 4 or self.picture_px < 1 or self.most_frames < 1:
             raise BadInput("scene: expected at least 4 vertices, one pixel and one frame")
 
 
 @dataclass(frozen=True, kw_only=True)
-class ReportOptions:
+class ReportOptions(Options):
     """What the report shows."""
 
     samples: int = 4
@@ -50,12 +54,13 @@ class ReportOptions:
     """Where the footage is now, if not where it was when it was reconstructed."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.samples < 1 or self.picture_height < 1:
             raise BadInput("report: expected at least one sample frame and one pixel")
 
 
 @dataclass(frozen=True, kw_only=True)
-class CameraOptions:
+class CameraOptions(Options):
     """What is asked of a camera, which gives the nearest that it can."""
 
     width: int = 1280
@@ -68,6 +73,7 @@ class CameraOptions:
     it can be read."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.width < 1 or self.height < 1 or not 0 < self.rate < math.inf:
             raise BadInput(
                 "camera: expected a positive width, height and rate, got "
@@ -83,3 +89,6 @@ class PageSize(Enum):
     A2 = (420.0, 594.0)
     LETTER = (215.9, 279.4)
     TABLOID = (279.4, 431.8)
+
+
+PageSizeName: TypeAlias = Literal["a4", "a3", "a2", "letter", "tabloid"]

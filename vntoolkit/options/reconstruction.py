@@ -2,10 +2,12 @@
 
 from dataclasses import dataclass, field
 from enum import Enum
+from typing import Literal, TypeAlias
 
 from vntoolkit.errors import BadInput
+from vntoolkit.options.base import Named, Options, named
 from vntoolkit.options.depth import IntegrationOptions, MeshOptions
-from vntoolkit.options.normals import InversionOptions, ShadowMethod
+from vntoolkit.options.normals import InversionOptions, ShadowMethod, ShadowMethodName
 
 MOST_MATERIALS = 12
 
@@ -18,11 +20,17 @@ class Product(Enum):
     MESH = "mesh"
 
 
+ProductName: TypeAlias = Literal["normals", "depth", "mesh"]
+
+
 class OnError(Enum):
     """What a frame that fails does to the run."""
 
     STOP = "stop"
     SKIP = "skip"  # the frame is left out, and named in the manifest and at the end
+
+
+OnErrorName: TypeAlias = Literal["stop", "skip"]
 
 
 class MaterialSearch(Enum):
@@ -32,6 +40,9 @@ class MaterialSearch(Enum):
     CALIBRATED = "calibrated"  # one: what the rig was calibrated on
 
 
+MaterialSearchName: TypeAlias = Literal["auto", "calibrated"]
+
+
 class DepthOffset(Enum):
     """How the constant that normals leave free is fixed, frame by frame."""
 
@@ -39,26 +50,29 @@ class DepthOffset(Enum):
     MEAN = "mean"  # mean depth 0 (perspective: 1) over every connected part
 
 
+DepthOffsetName: TypeAlias = Literal["reference", "mean"]
+
+
 @dataclass(frozen=True, kw_only=True)
-class ReconstructOptions:
-    """Options of `reconstruct`, beyond those of the stages.
+class ReconstructOptions(Options):
+    """Options of `reconstruct`, with those of its stages.
 
     A rig fitted to presses on a gel turns materials and shadows off: it is the gel's own.
     """
 
-    to: Product = Product.MESH
+    to: Named[Product, ProductName] = named(Product.MESH)
     """How far to go; each includes what comes before it."""
     distance_m: float | None = None
     """Distance in metres from a perspective camera to the subject, along the optical axis. It fixes the scale
     that normals alone leave free."""
-    materials: MaterialSearch | int = MaterialSearch.AUTO
+    materials: Named[MaterialSearch | int, MaterialSearchName | int] = named(MaterialSearch.AUTO)
     """How many materials the subject has: a number, or auto to find as many as there are, or calibrated for
     the calibration material alone. The first frames tell their reflectances. A rig without the colours of its
     lamps knows the calibration material alone."""
-    shadows: ShadowMethod = ShadowMethod.ROBUST
+    shadows: Named[ShadowMethod, ShadowMethodName] = named(ShadowMethod.ROBUST)
     """Method that finds where the subject shadows itself: robust, published (the paper's detector) or none.
     The surface in shadow is then recovered, and visibility labels are written."""
-    depth_offset: DepthOffset = DepthOffset.REFERENCE
+    depth_offset: Named[DepthOffset, DepthOffsetName] = named(DepthOffset.REFERENCE)
     """How the free constant of the depth is fixed. reference ties every frame to one, so that depth rests
     where the subject does. mean gives every connected part a mean depth of 0 (perspective: 1)."""
     reference_frame: int | None = None
@@ -67,7 +81,7 @@ class ReconstructOptions:
     smoothing: float = 0.0
     """Average a pixel with the frames before and after where its colour differs by less than this share of
     full scale. 0 is off; about 3 times the noise is useful."""
-    on_error: OnError = OnError.STOP
+    on_error: Named[OnError, OnErrorName] = named(OnError.STOP)
     """What a frame that fails does: stop the run, or skip the frame and name it at the end."""
     inversion: InversionOptions = field(default_factory=InversionOptions)
     integration: IntegrationOptions = field(default_factory=IntegrationOptions)
@@ -79,6 +93,7 @@ class ReconstructOptions:
         return self.depth_offset is DepthOffset.REFERENCE and self.to is not Product.NORMALS
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.distance_m is not None and not self.distance_m > 0:
             raise BadInput(f"distance: expected a positive number of metres, got {self.distance_m:g}")
         if not isinstance(self.materials, MaterialSearch) and not 1 <= self.materials <= MOST_MATERIALS:

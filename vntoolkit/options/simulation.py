@@ -2,9 +2,11 @@
 
 from dataclasses import dataclass, fields, replace
 from enum import Enum
+from typing import Literal, TypeAlias
 
 from vntoolkit.checks import require_in_range
 from vntoolkit.errors import BadInput
+from vntoolkit.options.base import Named, Options, named
 from vntoolkit.photometry.transfer import Transfer
 
 
@@ -20,8 +22,11 @@ class Lighting(Enum):
     WHITE_3 = "white-3"
 
 
+LightingName: TypeAlias = Literal["coloured", "red", "green", "blue", "white-1", "white-2", "white-3"]
+
+
 @dataclass(frozen=True, kw_only=True)
-class SceneOptions:
+class SceneOptions(Options):
     """Options of every scene."""
 
     width: int = 640
@@ -30,7 +35,7 @@ class SceneOptions:
     """Image size in pixels."""
     seed: int = 0
     """Seed of the scene's own randomness (motion, texture)."""
-    lighting: Lighting = Lighting.COLOURED
+    lighting: Named[Lighting, LightingName] = named(Lighting.COLOURED)
     """The coloured lamps together, or a white lamp in one of the three places."""
     field_width_m: float | None = None
     """Width of the field of view at the subject, metres. Default: the scene's own. The board is printed in
@@ -39,6 +44,7 @@ class SceneOptions:
     """Scene whose material lies in the board's hole. Default: a grey cloth or paper."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.width < 16 or self.height < 16:
             raise BadInput(f"simulate: expected an image of at least 16×16, got {self.width}×{self.height}")
         if self.field_width_m is not None and not 0.01 <= self.field_width_m <= 5.0:
@@ -46,7 +52,7 @@ class SceneOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
-class RenderOptions:
+class RenderOptions(Options):
     """How a frame is rendered."""
 
     samples: int = 5
@@ -55,6 +61,7 @@ class RenderOptions:
     """For ray casting, 0 = all cores."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.samples not in (1, 5, 9):
             raise BadInput(f"samples: expected 1, 5 or 9 per pixel, got {self.samples}")
 
@@ -63,7 +70,7 @@ STORED_BITS = (8, 10, 12, 16)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Nuisances:
+class Nuisances(Options):
     """Effects between surface and file that equation 1 does not model."""
 
     near_lights: bool = True
@@ -101,6 +108,7 @@ class Nuisances:
     """Linear value that means no light, 0 to 0.5."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         require_in_range(self.blur_px, 0.0, 20.0, "blur_px")
         require_in_range(self.full_well_electrons, 1.0, 1e9, "full_well_electrons")
         require_in_range(self.read_noise_electrons, 0.0, 1e6, "read_noise_electrons")
@@ -163,7 +171,7 @@ _LEAST_WIDTH, _LEAST_HEIGHT = 640, 480  # on smaller images the board's corners 
 
 
 @dataclass(frozen=True, kw_only=True)
-class DemoOptions:
+class DemoOptions(Options):
     """How large the demonstration is."""
 
     frames: int = 12
@@ -174,6 +182,7 @@ class DemoOptions:
     """Height of the images, pixels, at least 480."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not 1 <= self.frames <= 1000:
             raise BadInput(f"demo: expected 1 to 1000 frames, got {self.frames}")
         if self.width < _LEAST_WIDTH or self.height < _LEAST_HEIGHT:

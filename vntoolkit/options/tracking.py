@@ -2,9 +2,11 @@
 
 from dataclasses import dataclass
 from enum import Enum
+from typing import Literal, TypeAlias
 
 from vntoolkit.checks import require_in_range
 from vntoolkit.errors import BadInput
+from vntoolkit.options.base import Named, Options, named
 
 _PAPERS_LENGTH = 38.7  # edges: sqrt(1.5 / β) for the paper's β = 1e-3 on edges of length 1
 
@@ -24,11 +26,17 @@ class Tracker(Enum):
     ARAP = "arap"  # as rigid as possible
 
 
+TrackerName: TypeAlias = Literal[
+    "default", "no-registration", "flow", "translation", "laplacian", "laplacian-previous",
+    "laplacian-cotangent", "arap",
+]  # fmt: skip
+
+
 @dataclass(frozen=True, kw_only=True)
-class TrackingOptions:
+class TrackingOptions(Options):
     """How the template follows the video."""
 
-    method: Tracker = Tracker.DEFAULT
+    method: Named[Tracker, TrackerName] = named(Tracker.DEFAULT)
     """A whole method by name."""
     smoothing_length: float = _PAPERS_LENGTH
     """In edges; the Laplacian methods keep waves longer than about five times this (β = 1.5 / length²; the
@@ -37,6 +45,7 @@ class TrackingOptions:
     """Α of the translation method, the share of the data term, 0 to 1, the paper's by default."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         require_in_range(self.data_share, 1e-3, 1.0, "data share α")
         require_in_range(self.smoothing_length, 0.0, 1e3, "smoothing length in edges")
         name = self.method.value
@@ -49,11 +58,12 @@ class TrackingOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
-class CheckerboardOptions:
+class CheckerboardOptions(Options):
     """How the texture is drawn."""
 
     square_px: int = 16
     """Side of a square of the checkerboard on the template, pixels."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         require_in_range(self.square_px, 1, 10_000, "square of the checkerboard in pixels")
