@@ -70,7 +70,7 @@ DOORS = {
 
 # Room -> most lines of all its files; "(root)" holds the files beside the rooms.
 LINES = {
-    "pipeline": 7300, "io": 8100, "calibration": 5900, "materials": 4700, "tracking": 4700,
+    "pipeline": 7400, "io": 8100, "calibration": 5900, "materials": 4700, "tracking": 4700,
     "simulation": 4500, "diagnosis": 3700, "shadows": 3300, "cli": 3500, "report": 3200, "skinning": 2300,
     "integration": 2200,
     "normals": 1900, "geometry": 1700, "(root)": 1900, "options": 1900, "evaluation": 1400,
@@ -79,8 +79,8 @@ LINES = {
 
 # Verb -> most modules of the package, and most lines of them, that are loaded before its function runs.
 CLOSURES = {
-    "reconstruct": (103, 18_600),
-    "track": (118, 21_100),
+    "reconstruct": (114, 20_000),
+    "track": (112, 19_400),
     "export": (98, 17_100),
     "view": (91, 14_900),
     "report": (108, 19_100),
