@@ -15,11 +15,11 @@ from vntoolkit.options.calibration import ResponseFitOptions, ResponseModel
 from vntoolkit.options.dressing import Falloff, WeightOptions
 from vntoolkit.options.simulation import Nuisances, SceneOptions
 from vntoolkit.photometry.response import rgb_from_normals
+from vntoolkit.pipeline.dress import read_motion
 from vntoolkit.simulation.image_formation import light_colour, response_matrix
 from vntoolkit.simulation.render import render_frame
 from vntoolkit.simulation.scene import build_scene
 from vntoolkit.skinning.blending import skinned_vertices
-from vntoolkit.skinning.gait import walking_motion
 from vntoolkit.skinning.weights import weights_from_distances
 from vntoolkit.tracking.flow import advected_positions, flow_between, targets_on_surface
 from vntoolkit.tracking.regularisers import LaplacianRegulariser
@@ -70,7 +70,7 @@ laplacian = graph_laplacian(template.edges, len(start))
 solver = LaplacianRegulariser(laplacian, template.edges, template.positions_px, beta=1e-3)
 registered = start + solver.solve(targets - start)
 show("7  [L; βI] X = [Q; βY]: error of the vertex, mean", 1000 * length(registered - goal), "mm")
-motion = walking_motion().in_metres(1.73)
+motion = read_motion("data/walk.bvh").in_metres(1.73)
 rest, posed = pose_of_frame(motion, 0), pose_of_frame(motion, 18)
 attached = start - start.mean(axis=0) + rest[:, :3, 3].mean(axis=0)
 inverse = WeightOptions(falloff=Falloff.INVERSE)

@@ -21,7 +21,7 @@ PACKAGE = Path(__file__).parent.parent / "vntoolkit"
 
 # A room may import rooms with lower numbers, and itself.
 FLOORS = {
-    "threads": 0, "arrays": 0, "errors": 0.1, "checks": 0.2, "native": 0.3, "display": 0.3,
+    "threads": 0, "arrays": 0, "errors": 0.1, "shipped": 0.2, "checks": 0.2, "native": 0.3, "display": 0.3,
     "solvers": 0.4, "geometry": 1, "photometry": 1.5, "options": 1.8,
     "io": 2, "calibration": 2, "materials": 2, "simulation": 2, "normals": 2, "shadows": 2, "integration": 2,
     "meshing": 2, "tracking": 2, "skinning": 2, "evaluation": 2,

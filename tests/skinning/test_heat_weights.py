@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from recipes.walk_motion import walking_motion
 from tests.result_files import write_mesh_sequence
 from tests.skinning.conftest import tube
 from vntoolkit.__main__ import main
@@ -31,7 +32,6 @@ from vntoolkit.options.dressing import (
 from vntoolkit.pipeline.dress import DressedFigure, dress, read_motion
 from vntoolkit.skinning.attachment import covered_bones, weights_of_garment
 from vntoolkit.skinning.blending import skinned_vertices
-from vntoolkit.skinning.gait import walking_motion
 from vntoolkit.skinning.weights import weights_from_distances
 
 HEAT = WeightOptions()
@@ -263,8 +263,6 @@ def test_normals_decide_which_side_is_within(jumper: Mesh) -> None:
 def test_refusals() -> None:
     with pytest.raises(BadInput, match="max stretch: expected a factor above 1"):
         DressOptions(max_stretch=1.0)
-    with pytest.raises(BadInput, match="weights by heat have none"):
-        WeightOptions(distance_power=2.0)
     skeleton = walking_motion().skeleton
     with pytest.raises(BadInput, match="use `weights_of_garment`"):
         weights_from_distances(np.zeros((1, 3)), skeleton, rest_pose(skeleton), HEAT)

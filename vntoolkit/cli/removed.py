@@ -3,6 +3,8 @@
 from vntoolkit.errors import BadInput
 
 REMOVED: dict[str, str] = {
+    "--distance-power": "was removed: weights follow the published 1/distance; take --falloff heat for "
+    "limbs that move more independently",
     "--refine-albedo": "was removed, since it left normals as they were; leave it out, "
     "`vntoolkit reconstruct` takes paint out of every frame",
     "--fit-method": "is --method now",

@@ -35,7 +35,7 @@ def copy_data(name: str, out: Path | str | None = None) -> Path:
     A file that is there is kept.
     """
     from vntoolkit.io.atomic import write_bytes
-    from vntoolkit.pipeline.dress import shipped_files
+    from vntoolkit.shipped import shipped_files
 
     files = shipped_files()
     if name not in files:
@@ -58,7 +58,7 @@ def data(name: str = "", /, *, out: Path | None = None) -> None:
     out
         The file to write; default: the same name, here. A file that is there is kept.
     """
-    from vntoolkit.pipeline.dress import shipped_files
+    from vntoolkit.shipped import shipped_files
 
     if not name:
         print("\n".join(shipped_files()))

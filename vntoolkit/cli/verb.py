@@ -56,7 +56,7 @@ _PANELS: dict[str, tuple[str, ...]] = {
         "hull_cells", "corner_spacing_px", "window_px", "margin_px", "pose_tracks", "least_turn_deg",
         "references", "stereo_window_px", "before", "behind", "least_correlation", "smoothing_px",
         "fusion_depth", "agreement", "confirmations", "hull_gap", "light_frames", "light_points",
-        "light_draws", "light_inlier", "threshold", "distance_power", "neighbours",
+        "light_draws", "light_inlier", "threshold", "neighbours",
     ),
 }  # fmt: skip
 _PANEL_OF = {name: panel for panel, names in _PANELS.items() for name in names}

@@ -11,12 +11,10 @@ from vntoolkit.options.base import Named, Options, named
 
 
 class Garment(Enum):
-    """What is dressed. AUTO: trousers where the outline has two legs, else what has the sleeves it has."""
+    """What is dressed. AUTO: trousers where the outline has two legs, else a SWEATER: what has sleeves."""
 
     AUTO = "auto"
     SWEATER = "sweater"
-    SHIRT = "shirt"
-    JACKET = "jacket"
     SLEEVELESS = "sleeveless"
     TROUSERS = "trousers"
     SKIRT = "skirt"
@@ -27,15 +25,8 @@ class Garment(Enum):
         """Whether it hangs from the waist."""
         return self in (Garment.TROUSERS, Garment.SKIRT)
 
-    @property
-    def has_sleeves(self) -> bool:
-        """Whether it is nothing without sleeves."""
-        return self in (Garment.SWEATER, Garment.SHIRT, Garment.JACKET)
 
-
-GarmentName: TypeAlias = Literal[
-    "auto", "sweater", "shirt", "jacket", "sleeveless", "trousers", "skirt", "overall"
-]
+GarmentName: TypeAlias = Literal["auto", "sweater", "sleeveless", "trousers", "skirt", "overall"]
 
 
 class DepthPlacement(Enum):
@@ -66,9 +57,9 @@ class GarmentFitOptions(Options):
     """How the garment is brought onto the figure."""
 
     garment: Named[Garment, GarmentName] = named(Garment.AUTO)
-    """What it is. Upper garments hang from the neck, and their sleeves on the arms; sleeveless ones leave the
-    arms alone. Trousers and skirts hang from the waist and follow the legs. auto tells trousers by the
-    outline, but not a skirt."""
+    """What it is. Upper garments hang from the neck, and their sleeves on the arms: sweater stands for shirts
+    and jackets too. Sleeveless ones leave the arms alone. Trousers and skirts hang from the waist and follow
+    the legs. auto tells trousers by the outline, but not a skirt."""
     fullness: float | None = None
     """Height of the garment over the height of what it covers, hips to neck or hips to feet. Default: 1.3;
     trousers 1.05, a skirt 0.65."""
@@ -90,19 +81,16 @@ class Falloff(Enum):
     HEAT: by heat that spreads along the cloth from where each bone lies under it, baran2007: a flank does
     not follow the arm beside it. INVERSE: by 1/distance through the air to the nearest bones, as published;
     the cloth tears where the set of nearest bones changes, and hangs like a web under a raised arm.
-    CONTINUOUS: by 1/distance less that of the next bone farther off, franke1980, so that a bone's weight is
-    0 where it drops out and the cloth stays whole.
     """
 
     HEAT = "heat"
     INVERSE = "inverse"
-    CONTINUOUS = "continuous"
 
 
-FalloffName: TypeAlias = Literal["heat", "inverse", "continuous"]
+FalloffName: TypeAlias = Literal["heat", "inverse"]
 
 
-_BONES = {Falloff.HEAT: 8, Falloff.INVERSE: 4, Falloff.CONTINUOUS: 4}
+_BONES = {Falloff.HEAT: 8, Falloff.INVERSE: 4}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,12 +99,9 @@ class WeightOptions(Options):
 
     falloff: Named[Falloff, FalloffName] = named(Falloff.HEAT)
     """How a vertex weighs its bones: heat, by heat along the cloth; inverse, by the inverse distance as
-    published; continuous, the same without tears."""
+    published."""
     neighbours: int | None = None
     """Number of bones that a vertex follows. Default: 8 by heat, else the 4 nearest."""
-    distance_power: float = 1.0
-    """Exponent of the distance, not for heat. 1 is the published rule; with more, limbs move more
-    independently."""
     exclude: tuple[str, ...] = ()
     """Joints whose bones get no weight, as names or patterns (`*Hand*`)."""
 
@@ -124,10 +109,6 @@ class WeightOptions(Options):
         super().__post_init__()
         if self.neighbours is not None and self.neighbours < 1:
             raise BadInput(f"neighbours: expected at least 1, got {self.neighbours}")
-        if not 0 < self.distance_power < np.inf:
-            raise BadInput(f"distance power: expected a positive number, got {self.distance_power:g}")
-        if self.falloff is Falloff.HEAT and self.distance_power != 1:
-            raise BadInput("distance power: weights by heat have none; choose falloff inverse or continuous")
 
     @property
     def bones(self) -> int:

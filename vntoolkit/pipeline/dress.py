@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-import vntoolkit
 from vntoolkit.arrays import Faces, Float32Array, FloatArray, IntArray, Points, Vector3
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
@@ -43,6 +42,7 @@ from vntoolkit.pipeline.tracked_folder import (
     recorded_camera,
     uv_in_picture,
 )
+from vntoolkit.shipped import shipped_files
 from vntoolkit.skinning import clock as clocks
 from vntoolkit.skinning.alignment import CapturedMotion, parts_of
 from vntoolkit.skinning.anatomy import anatomy_of, legs_of
@@ -271,7 +271,7 @@ def dress(
 
 def _telling_frame(cloth: MeshSequence, kind: Garment) -> int:
     """Return the first of some frames that shows both sleeves or both legs apart, else the best of them."""
-    if kind is not Garment.AUTO and kind is not Garment.TROUSERS and not kind.has_sleeves:
+    if kind not in (Garment.AUTO, Garment.TROUSERS, Garment.SWEATER):
         return 0
     most, best = -1, 0
     for frame in sampled(range(len(cloth)), _FRAMES_LOOKED_AT):
@@ -470,15 +470,6 @@ def _given_or_shipped(path: Path) -> Path:
     if not path.exists() and len(path.parts) == 2 and path.parts[0] == "data":
         return shipped_files().get(path.name, path)
     return path
-
-
-def shipped_files() -> dict[str, Path]:
-    """Return the files of data/ by name, of the package or of its repository."""
-    package = Path(vntoolkit.__file__).parent
-    found: dict[str, Path] = {}
-    for folder in (package.parent / "data", package / "data"):
-        found |= {path.name: path for path in sorted(folder.glob("*.*")) if path.suffix != ".md"}
-    return found
 
 
 def _skeleton_beside(path: Path) -> Path:

@@ -52,7 +52,7 @@ from vntoolkit.simulation.render import Renderer, SimulatedFrame, frame_generato
 from vntoolkit.simulation.scene import Scene, build_scene
 
 _SHEET_FRAMES, _SHEET_WIDTH = 8, 320
-_VERSION = 1
+_VERSION = 2  # of the shapes and the renderer: frames of another version are not gone on with
 _FIXED_TRUTH = ("rig.json", "lights.json", "scene.json", "seams.json", "poses.json")
 _TRUE_MAPS = {"normals": ".exr", "depth": ".exr", "mask": ".png", "visibility": ".png"}  # of every frame
 _STAGED = ".frames"

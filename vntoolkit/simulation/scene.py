@@ -50,7 +50,7 @@ SCENES: dict[str, str] = {
     "sweater_stripes": "vntoolkit.simulation.garment.sweater:build_striped_sweater",
     "sweater_logo": "vntoolkit.simulation.garment.sweater:build_sweater_with_logo",
     "sweater_tartan": "vntoolkit.simulation.garment.sweater:build_tartan_sweater",
-    "spandex": "vntoolkit.simulation.body.spandex:build_spandex",
+    "spandex": "vntoolkit.simulation.spandex:build_spandex",
     "head_turn": "vntoolkit.simulation.head.scenes:build_head_turn",
     "face": "vntoolkit.simulation.head.scenes:build_face",
     "face_makeup": "vntoolkit.simulation.head.scenes:build_face_makeup",

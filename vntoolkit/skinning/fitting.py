@@ -114,9 +114,9 @@ def _kind_of(regions: GarmentRegions, asked: Garment) -> Garment:
             "trousers: the garment's outline has no gap between two legs: film them apart, or "
             "take --garment skirt"
         )
-    if asked.has_sleeves and not regions.sleeves:
+    if asked is Garment.SWEATER and not regions.sleeves:
         raise BadInput(
-            f"{asked.value}: no sleeve stands out from the garment's outline: film both "
+            "sweater: no sleeve stands out from the garment's outline: film both "
             "apart from the trunk, or take --garment sleeveless"
         )
     return asked
