@@ -4,7 +4,6 @@ import sys
 
 import numpy as np
 import pytest
-import scipy.sparse as sp
 
 from vntoolkit import native
 from vntoolkit.calibration.fit import fit_response
@@ -35,7 +34,6 @@ from vntoolkit.photometry.response import LightResponse, rgb_from_normals
 from vntoolkit.simulation.lights import WAVELENGTHS_NM, Lights
 from vntoolkit.simulation.scene import build_scene
 from vntoolkit.skinning.fitting import fit_garment_to_figure
-from vntoolkit.tracking.regularisers import factor_symmetric
 from vntoolkit.tracking.template import template_from_maps
 
 MATRIX = np.array([[0.35, -0.02, -0.5], [-0.17, 0.3, -0.48], [-0.15, -0.28, -0.52]])
@@ -108,12 +106,6 @@ def test_templates_of_another_size_or_without_a_surface():
     empty = DepthMap(depth=np.ones((48, 64)), mask=np.zeros((48, 64), dtype=bool))
     with pytest.raises(BadInput, match=r"no valid pixel with normal and depth; choose another frame"):
         template_from_maps(flat_map(), empty, ORTHOGRAPHIC)
-
-
-def test_a_matrix_without_regular_minors_is_not_factored():
-    swap = sp.csr_array(np.array([[0.0, 1.0], [1.0, 0.0]]).astype(np.complex64))
-    with pytest.raises(SolverFailed, match="factorisation: a pivot vanished; the mesh's Laplacian"):
-        factor_symmetric(swap, np.arange(2))
 
 
 def figure() -> Motion:

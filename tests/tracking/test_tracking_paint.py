@@ -11,8 +11,7 @@ from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.pipeline.track import paint_of_materials
-from vntoolkit.tracking.paint import Paint, fixed_pattern, paint_image, paint_of_frame
-from vntoolkit.tracking.slopes import relief_slopes, slopes_from_normals
+from vntoolkit.tracking.paint import Paint, paint_of_frame
 from vntoolkit.tracking.tracker import SurfaceTracker
 
 WHOLE = np.ones((HEIGHT, WIDTH), dtype=bool)
@@ -173,21 +172,3 @@ def test_a_frame_whose_paint_is_not_known_is_carried(rng: np.random.Generator) -
     unknown = tracker.step(smooth(2), flat_depth(WHOLE), paint=None)
     assert np.median(known.uncertainty_px) < 1.0
     assert np.median(unknown.uncertainty_px) > 4.0
-
-
-def test_pixels_of_unlike_gain_are_no_paint() -> None:
-    """Gains that stay at the camera's pixels tell of no surface at rest."""
-    gain = np.random.default_rng(3).normal(0, 0.03, (HEIGHT, WIDTH))
-
-    def blank(frame: int) -> Paint:
-        return np.float32(1 + gain + np.random.default_rng(50 + frame).normal(0, 0.01, gain.shape))
-
-    seen = [smooth(frame) for frame in range(8)]
-    reliefs = [relief_slopes(slopes_from_normals(each, CAMERA), each) for each in seen]
-    pattern = fixed_pattern(paint_image(blank(k), relief) for k, relief in enumerate(reliefs))
-    told = []
-    for known in ((), pattern):
-        tracker = SurfaceTracker(seen[0], flat_depth(WHOLE), CAMERA, paint=blank(0), paint_pattern=known)
-        told.append(np.median(tracker.step(seen[1], flat_depth(WHOLE), paint=blank(1)).uncertainty_px))
-    assert told[0] < 0.5  # as if it were paint at rest
-    assert told[1] > 4.0

@@ -14,18 +14,18 @@ from vntoolkit.geometry.mesh import (
     edges_from_faces,
     graph_laplacian,
 )
+from vntoolkit.tracking.edge_prior import EdgePrior
+from vntoolkit.tracking.factors import Factor, factor
 from vntoolkit.tracking.fit_errors import FitErrors
 from vntoolkit.tracking.lattice import TemplateLattice, lattice_on_template
 from vntoolkit.tracking.lattice_system import LatticeSystem
-from vntoolkit.tracking.lengths import LinkLengths, modes_of_the_whole, slow_turns, tilts, uniform_strains
-from vntoolkit.tracking.registration import TemplateRegistration
+from vntoolkit.tracking.modes import modes_of_the_whole, slow_turns, tilts, uniform_strains
 from vntoolkit.tracking.regularisers import (
     LaplacianRegulariser,
     TranslationRegulariser,
     beta_from_smoothing_length,
-    nested_dissection_order,
 )
-from vntoolkit.tracking.slopes import relief_slopes, slopes_from_normals
+from vntoolkit.tracking.slopes import slopes_from_normals
 from vntoolkit.tracking.template import template_from_maps
 
 
@@ -52,30 +52,11 @@ def test_cotangent_laplacian_refuses_a_triangle_without_area() -> None:
         cotangent_laplacian(np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0.0]]), np.array([[0, 1, 2]]))
 
 
-def test_dissection_is_an_order_that_saves_fill() -> None:
-    h, w = 60, 80
-    index = np.arange(h * w).reshape(h, w)
-    edges = np.concatenate(
-        [np.stack([index[:, :-1], index[:, 1:]], -1).reshape(-1, 2),
-         np.stack([index[:-1], index[1:]], -1).reshape(-1, 2)]
-    )  # fmt: skip
-    positions = np.stack(np.meshgrid(np.arange(w), np.arange(h)), -1).reshape(-1, 2)
-    order = nested_dissection_order(edges, positions)
-    assert np.array_equal(np.sort(order), np.arange(h * w))
-    laplacian = sp.csc_array(graph_laplacian(edges, h * w) + sp.eye_array(h * w))
-
-    def fill(permutation) -> int:
-        matrix = sp.csc_array(laplacian[permutation][:, permutation])
-        return sp.linalg.splu(matrix, permc_spec="NATURAL", options={"SymmetricMode": True}).L.nnz
-
-    assert fill(order) < 0.5 * fill(np.arange(h * w))
-
-
 def test_a_factored_solve_equals_a_dense_one(template, rng: np.random.Generator) -> None:
     count = len(template.pixels)
     laplacian = graph_laplacian(template.edges, count)
     beta = beta_from_smoothing_length(4.0)
-    solver = LaplacianRegulariser(laplacian, template.edges, template.positions_px, beta)
+    solver = LaplacianRegulariser(laplacian, beta)
     rest, data = rng.normal(size=(count, 3)) * 50, rng.normal(size=(count, 3)) * 50
     stacked = np.vstack([laplacian.toarray(), beta * np.eye(count)])
     dense = np.linalg.lstsq(stacked, np.vstack([laplacian @ rest, beta * data]), rcond=None)[0]
@@ -84,9 +65,7 @@ def test_a_factored_solve_equals_a_dense_one(template, rng: np.random.Generator)
 
 def lattice_problem(template, rng: np.random.Generator):
     lattice = lattice_on_template(template, 4)
-    rows = np.repeat(np.arange(lattice.count), np.diff(lattice.starts))
-    once = rows < lattice.neighbours
-    links = np.stack([rows[once], lattice.neighbours[once]], axis=1)
+    links = lattice.edges
     roots = np.tril(rng.normal(size=(lattice.count, 2, 2)))
     blocks = roots @ np.swapaxes(roots, 1, 2)
     weight = rng.uniform(0.1, 2.0, len(links))
@@ -94,18 +73,24 @@ def lattice_problem(template, rng: np.random.Generator):
     return lattice, links, LatticeSystem(links, lattice.count), information, weight
 
 
-def errors_problem(template) -> tuple[TemplateLattice, LinkLengths, FitErrors]:
+def errors_problem(template) -> tuple[TemplateLattice, EdgePrior, FitErrors]:
     """A lattice, its lengths, and the expected errors of fits on it."""
     video = WrinkledVideo(width=34, height=26)
     slopes = slopes_from_normals(video.maps(0)[0], video.camera)
     lattice = lattice_on_template(template, 3)
-    lengths = LinkLengths(lattice, template, video.camera, slopes)
-    errors = FitErrors(
-        lattice,
-        TemplateRegistration(template, lattice, video.camera, relief_slopes(slopes, video.maps(0)[0])),
-        lengths,
-    )
-    return lattice, lengths, errors
+    lengths = EdgePrior(lattice, template, video.camera, slopes)
+    return lattice, lengths, FitErrors(lattice, lengths, [2])
+
+
+def measured(information: np.ndarray, displacement: np.ndarray | float = 0.0) -> Factor:
+    """What nodes are measured with that information (m, 3)."""
+    return factor(information, np.broadcast_to(displacement, (len(information), 2)))
+
+
+def by_outline(information: np.ndarray) -> list[Factor]:
+    """What is told with errors of its own at every node: by windows and running template nothing."""
+    nothing = measured(0.0 * information)
+    return [nothing, nothing, measured(information)]
 
 
 def test_the_lattice_s_system_equals_a_dense_one(template, rng: np.random.Generator) -> None:
@@ -123,7 +108,8 @@ def test_the_lattice_s_system_equals_a_dense_one(template, rng: np.random.Genera
     whole[2 * m :, 2 * m :] += precision * np.eye(3)
     right = np.einsum("e,eki,ek->i", weight, along, steps) + np.pad(pull.ravel(), (0, 3))
     dense = np.linalg.solve(whole, right)
-    solution = system.solve(information, pull, weight, steps, modes, precision)
+    told = Factor(information, pull, np.zeros(m))
+    solution = system.solve(told, weight, steps, modes, precision)
     np.testing.assert_allclose(solution.displacement.ravel(), dense[: 2 * m], atol=1e-3 * np.abs(dense).max())
     np.testing.assert_allclose(solution.left, along @ dense - steps, atol=1e-3 * np.abs(dense).max())
 
@@ -131,17 +117,14 @@ def test_the_lattice_s_system_equals_a_dense_one(template, rng: np.random.Genera
 def test_four_corners_tell_how_a_whole_sheet_is_stretched_and_sheared(template) -> None:
     lattice = lattice_on_template(template, 4)
     video = WrinkledVideo(width=34, height=26)
-    lengths = LinkLengths(
-        lattice, template, video.camera, slopes_from_normals(video.maps(0)[0], video.camera)
-    )
+    lengths = EdgePrior(lattice, template, video.camera, slopes_from_normals(video.maps(0)[0], video.camera))
     moved = (lengths.centres - lengths.centres.mean(axis=0)) @ np.array([[0.05, -0.02], [-0.02, -0.03]])
     cells = lattice.cells
     corner = np.all((cells == cells.min(axis=0)) | (cells == cells.max(axis=0)), axis=1)
     known = np.where(corner, 100.0, 0.0)
-    weight, steps = np.full(len(lengths.links), 1.0), np.zeros((len(lengths.links), 2))
-    found = LatticeSystem(lengths.links, lattice.count).solve(
-        np.column_stack([known, 0 * known, known]),
-        known[:, None] * moved,
+    weight, steps = np.full(len(lengths.edges), 1.0), np.zeros((len(lengths.edges), 2))
+    found = LatticeSystem(lengths.edges, lattice.count).solve(
+        measured(np.column_stack([known, 0 * known, known]), moved),
         weight,
         steps,
         uniform_strains(lengths.along),
@@ -154,12 +137,12 @@ def test_four_corners_tell_how_a_whole_sheet_is_stretched_and_sheared(template) 
 def test_expected_errors_are_the_covariance_of_the_problem_where_measurements_decide(template) -> None:
     """Links so weak that they tell nothing: what is left is the inverse of each node's own information."""
     lattice, lengths, errors = errors_problem(template)
-    weight, steps = np.full(len(lengths.links), 1e-9), np.zeros((len(lengths.links), 2))
+    weight, steps = np.full(len(lengths.edges), 1e-9), np.zeros((len(lengths.edges), 2))
     information = np.tile([4.0, 1.0, 2.0], (lattice.count, 1))
-    system = LatticeSystem(lengths.links, lattice.count)
+    system = LatticeSystem(lengths.edges, lattice.count)
     none = np.zeros((len(weight), 2, 3))
-    solution = system.solve(information, np.zeros((lattice.count, 2)), weight, steps, none, 1.0)
-    square = errors.expected(solution, [], information, weight**-0.5, solution.left, none[:, :, :1])[0]
+    solution = system.solve(measured(information), weight, steps, none, 1.0)
+    square = errors.expected(solution, by_outline(information), weight**-0.5, solution.left, none[:, :, 0])[0]
     expected = np.trace(np.linalg.inv([[4.0, 1.0], [1.0, 2.0]]))
     assert square.mean() == pytest.approx(expected, rel=0.1)  # of some 100 nodes with 16 samples each
 
@@ -170,18 +153,20 @@ def test_less_strain_than_given_is_expected_where_less_is_left(template) -> None
     column = lattice.cells[:, 0]
     held = np.where((column == column.min()) | (column == column.max()), 100.0, 0.0)
     information = np.column_stack([held, 0 * held, held])
-    weight, steps = np.ones(len(lengths.links)), np.zeros((len(lengths.links), 2))
-    system = LatticeSystem(lengths.links, lattice.count)
+    weight, steps = np.ones(len(lengths.edges)), np.zeros((len(lengths.edges), 2))
+    system = LatticeSystem(lengths.edges, lattice.count)
     told, none = [], np.zeros((len(weight), 2, 3))
     for misfit in (0.0, 20.0):
-        pull = np.column_stack([held * np.where(column == column.max(), misfit, 0.0), 0 * held])
-        solution = system.solve(information, pull, weight, steps, none, 1.0)
-        square, _ = errors.expected(solution, [], information, weight**-0.5, solution.left, none[:, :, :1])
+        moved = np.column_stack([np.where(column == column.max(), misfit, 0.0), 0 * held])
+        solution = system.solve(measured(information, moved), weight, steps, none, 1.0)
+        square, _ = errors.expected(
+            solution, by_outline(information), weight**-0.5, solution.left, none[:, :, 0]
+        )
         told.append(square)
     between = held == 0
     assert told[0][between].mean() < 0.3 * told[1][between].mean()
     left = 2.0 * solution.left
-    expected, _ = errors.expected(solution, [], information, weight**-0.5, left, none[:, :, :1])
+    expected, _ = errors.expected(solution, by_outline(information), weight**-0.5, left, none[:, :, 0])
     assert expected[between].mean() > 2.0 * told[1][between].mean()  # half of it was expected
 
 
@@ -190,26 +175,28 @@ def test_it_is_said_how_far_other_things_than_its_guess_tell_of_a_link(template)
     lattice, lengths, errors = errors_problem(template)
     left = lattice.cells[:, 0] < np.median(lattice.cells[:, 0])
     information = np.column_stack([100.0 * left, 0.0 * left, 100.0 * left])
-    weight, steps = np.ones(len(lengths.links)), np.zeros((len(lengths.links), 2))
+    weight, steps = np.ones(len(lengths.edges)), np.zeros((len(lengths.edges), 2))
     none = np.zeros((len(weight), 2, 3))
-    solution = LatticeSystem(lengths.links, lattice.count).solve(
-        information, np.zeros((lattice.count, 2)), weight, steps, none, 1.0
+    solution = LatticeSystem(lengths.edges, lattice.count).solve(
+        measured(information), weight, steps, none, 1.0
     )
-    _, told = errors.expected(solution, [], information, weight**-0.5, solution.left, none[:, :, :1])
-    assert told[left[lengths.links].all(axis=1)].min() > 0.9
-    assert told[~left[lengths.links].any(axis=1)].mean() < 0.5  # guesses that disagree tell of one another
+    _, told = errors.expected(solution, by_outline(information), weight**-0.5, solution.left, none[:, :, 0])
+    assert told[left[lengths.edges].all(axis=1)].min() > 0.9
+    assert told[~left[lengths.edges].any(axis=1)].mean() < 0.5  # guesses that disagree tell of one another
 
 
 def test_where_links_depart_farther_than_elsewhere_more_strain_is_expected(template) -> None:
     lattice, lengths, errors = errors_problem(template)
-    none, weight = np.zeros((len(lengths.links), 2, 3)), np.ones(len(lengths.links))
+    none, weight = np.zeros((len(lengths.edges), 2, 3)), np.ones(len(lengths.edges))
     information = np.tile([0.1, 0.0, 0.1], (lattice.count, 1))
     upper = lattice.cells[:, 1] < np.median(lattice.cells[:, 1])
-    system, told = LatticeSystem(lengths.links, lattice.count), []
-    for departs in (np.ones(len(weight)), np.where(upper[lengths.links].all(axis=1), 3.0, 1.0)):
+    system, told = LatticeSystem(lengths.edges, lattice.count), []
+    for departs in (np.ones(len(weight)), np.where(upper[lengths.edges].all(axis=1), 3.0, 1.0)):
         steps = departs[:, None] * np.random.default_rng(0).normal(size=(len(weight), 2))
-        solution = system.solve(information, np.zeros((lattice.count, 2)), weight, steps, none, 1.0)
-        square, _ = errors.expected(solution, [], information, weight**-0.5, solution.left, none[:, :, :1])
+        solution = system.solve(measured(information), weight, steps, none, 1.0)
+        square, _ = errors.expected(
+            solution, by_outline(information), weight**-0.5, solution.left, none[:, :, 0]
+        )
         told.append(square)
     alike, unlike = told
     share = unlike[upper].mean() / unlike[~upper].mean()
@@ -254,9 +241,9 @@ def test_what_one_half_of_a_roof_shows_of_a_tilt_moves_the_other(template) -> No
     moved = np.column_stack([0.05 * depth, -0.02 * depth])
     seen = lengths.centres[:, 0] < middle
     known = 100.0 * seen
-    a, b = lengths.links.T
-    solution = LatticeSystem(lengths.links, lattice.count).solve(
-        np.column_stack([known, 0 * known, known]), known[:, None] * moved, np.ones(len(a)),
+    a, b = lengths.edges.T
+    solution = LatticeSystem(lengths.edges, lattice.count).solve(
+        measured(np.column_stack([known, 0 * known, known]), moved), np.ones(len(a)),
         np.zeros((len(a), 2)), tilts(depth[b] - depth[a]), 1e-3,
     )  # fmt: skip
     np.testing.assert_allclose(solution.displacement, moved, atol=0.05 * np.abs(moved).max())
@@ -265,17 +252,14 @@ def test_what_one_half_of_a_roof_shows_of_a_tilt_moves_the_other(template) -> No
 def test_half_of_a_wave_passes_at_the_stated_wavelength() -> None:
     count, length = 400, 6.0
     edges = np.stack([np.arange(count - 1), np.arange(1, count)], 1)
-    positions = np.stack([np.arange(count), np.zeros(count)], 1)
-    solver = LaplacianRegulariser(
-        graph_laplacian(edges, count), edges, positions, beta_from_smoothing_length(length)
-    )
+    solver = LaplacianRegulariser(graph_laplacian(edges, count), beta_from_smoothing_length(length))
     wave = np.cos(2 * np.pi * np.arange(count) / (5.13 * length))[:, None]
     passed = solver.solve(wave)[100:300, 0] @ wave[100:300, 0] / (wave[100:300, 0] @ wave[100:300, 0])
     assert 0.48 < passed < 0.52
 
 
 @pytest.mark.parametrize("share", [0.1, 0.5, 0.9])
-def test_chebyshev_equals_a_dense_solve(template, rng: np.random.Generator, share: float) -> None:
+def test_translations_equal_a_dense_solve(template, rng: np.random.Generator, share: float) -> None:
     count = len(template.pixels)
     data = rng.normal(size=(count, 3))
     solver = TranslationRegulariser(template.edges, count, share)
@@ -315,9 +299,8 @@ def test_both_sides_of_a_seam_move_freely() -> None:
     crossing = below[template.edges[:, 0]] != below[template.edges[:, 1]]
     assert crossing.sum() <= 1
     solver = LaplacianRegulariser(
-        graph_laplacian(template.edges[~crossing], count), template.edges, template.positions_px,
-        beta_from_smoothing_length(8.0),
-    )  # fmt: skip
+        graph_laplacian(template.edges[~crossing], count), beta_from_smoothing_length(8.0)
+    )
     np.testing.assert_allclose(solver.solve(offsets), offsets, atol=1e-3)
     lattice = lattice_on_template(template, 8)
     sums = lattice.smoothed(lattice.sums(np.column_stack([offsets, np.ones(count)])), 1)
@@ -356,13 +339,13 @@ def test_which_of_two_guesses_holds_is_one_doubt_for_all_links_and_what_is_held_
     column = lattice.cells[:, 0]
     held = np.where(column == column.min(), 1e4, 0.0)
     information = np.column_stack([held, 0 * held, held])
-    weight, steps = np.ones(len(lengths.links)), np.zeros((len(lengths.links), 2))
+    weight, steps = np.ones(len(lengths.edges)), np.zeros((len(lengths.edges), 2))
     none = np.zeros((len(weight), 2, 3))
-    solution = LatticeSystem(lengths.links, lattice.count).solve(
-        information, np.zeros((lattice.count, 2)), weight, steps, none, 1.0
+    solution = LatticeSystem(lengths.edges, lattice.count).solve(
+        measured(information), weight, steps, none, 1.0
     )
     sure, doubted = (
-        errors.expected(solution, [], information, weight**-0.5, solution.left, doubt[:, :, None])[0]
+        errors.expected(solution, by_outline(information), weight**-0.5, solution.left, doubt)[0]
         for doubt in (steps, 0.1 * lengths.along)  # a tenth of every length
     )
     expected = np.square(0.1 * (lengths.centres - lengths.centres[column == column.min()].mean(axis=0))[:, 0])

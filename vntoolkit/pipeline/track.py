@@ -9,14 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from vntoolkit.arrays import FloatArray, Normals, Points, Points2, VisibilityLabels
+from vntoolkit.arrays import Normals, Points, Points2, VisibilityLabels
 from vntoolkit.checks import require_positive
 from vntoolkit.diagnosis.finding import judge
 from vntoolkit.diagnosis.over_time import findings_from_tracks
 from vntoolkit.errors import BadInput, BadMesh, VntError
 from vntoolkit.geometry.maps import DepthMap, NormalMap
 from vntoolkit.geometry.mesh import MeshSequence
-from vntoolkit.io.footage.frame_range import sampled
 from vntoolkit.io.results.folder import begin_run, read_lock, require_same_request, write_lock
 from vntoolkit.io.results.sequences import MeshSequenceWriter, read_mesh_sequence
 from vntoolkit.materials.mixtures import MaterialLabels
@@ -28,8 +27,7 @@ from vntoolkit.pipeline import tracked_folder
 from vntoolkit.pipeline.opened_result import OpenedResult, open_result
 from vntoolkit.pipeline.options import option_values
 from vntoolkit.pipeline.tracked_folder import TRACKS, TRACKS_VERSION
-from vntoolkit.tracking.paint import FRAMES_COMPARED, Paint, fixed_pattern, paint_image, paint_of_frame
-from vntoolkit.tracking.slopes import relief_slopes, slopes_from_normals
+from vntoolkit.tracking.paint import Paint, paint_of_frame
 from vntoolkit.tracking.tracker import SurfaceTracker, tracked_frame
 
 _LOGGER = logging.getLogger(__name__)
@@ -112,16 +110,14 @@ def track(
     record = _record(job, source, template) | {"paint": paint_of is not None}
     with read_lock(job.folder), write_lock(job.target) as target:
         require_same_request(target, TRACKS, record, overwrite=overwrite)
-        pattern, paint, paint_pattern = _registered_by(job, source, template, paint_of)
+        paint = None if paint_of is None else paint_of(template, source.normals(template))
         tracker = SurfaceTracker(
             *maps_of(source, template),
             source.camera,
             job.options,
             job.seams,
             source.labels(template),
-            pattern,
             paint,
-            paint_pattern,
         )
         begin_run(target, TRACKS, record, overwrite=overwrite)
         resumed = _run(tracker, source, template, target, on_start, on_frame, paint_of)
@@ -202,23 +198,6 @@ def paint_of_materials(
     return brightness[materials] * paint_of_frame(alike, normals, response, labels)
 
 
-def _registered_by(
-    job: TrackJob, source: OpenedResult, template: int, paint_of: PaintReader | None
-) -> tuple[Sequence[FloatArray], Paint | None, Sequence[FloatArray]]:
-    """Return the sensor's fixed pattern, the template's paint, and paint's, by frames from all over."""
-    if job.options.method is not Tracker.DEFAULT:
-        return (), None, ()
-    reliefs, paints = [], []
-    for number in sampled([n for n in source.frames_to_track if has_maps(source, n)], FRAMES_COMPARED):
-        seen = source.normals(number)
-        relief = relief_slopes(slopes_from_normals(seen, source.camera), seen, source.labels(number))
-        reliefs.append(relief[..., :3])
-        if paint_of is not None:
-            paints.append(paint_image(paint_of(number, seen), relief))
-    paint = None if paint_of is None else paint_of(template, source.normals(template))
-    return fixed_pattern(reliefs), paint, fixed_pattern(paints)
-
-
 def _visible_shares(job: TrackJob, rows: Sequence[int]) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Of these rows, the share of the vertices that are reported visible, and the median expected error."""
     uncertainty = read_mesh_sequence(job.target).uncertainty_px
@@ -288,20 +267,20 @@ def _follow(
                 writer.append(
                     held, None if uncertainty is None else np.full(len(held), np.inf, dtype=np.float32)
                 )
-            if tracker.remembered is not None:
-                kept = writer.frame_count, tracker.remembered
+            if tracker.running is not None:
+                kept = writer.frame_count, tracker.running
                 if writer.frame_count % _MEMORY_EVERY == 0:
-                    tracked_folder.write_remembered(writer.folder, *kept)
+                    tracked_folder.write_running_template(writer.folder, *kept)
             on_frame()
     finally:
         if kept is not None:
-            tracked_folder.write_remembered(writer.folder, *kept)
+            tracked_folder.write_running_template(writer.folder, *kept)
 
 
 def _truncate_to_memory(writer: MeshSequenceWriter, tracker: SurfaceTracker, lead: int) -> None:
     """Drop the frames after the one whose memory is on disk; lead: how many stay in any case."""
-    if tracker.remembered is not None and writer.frame_count > lead:
-        count, _ = tracked_folder.read_remembered(writer.folder, tracker.remembered)
+    if tracker.running is not None and writer.frame_count > lead:
+        count, _ = tracked_folder.read_running_template(writer.folder, tracker.running)
         writer.truncate(max(count if count <= writer.frame_count else 0, lead))
 
 
@@ -317,9 +296,9 @@ def _go_on(
     for i in present[1:][-2:]:
         uncertainty = None if sequence.uncertainty_px is None else np.array(sequence.uncertainty_px[row + i])
         states.append(tracked_frame(np.array(sequence.vertices[row + i]), uncertainty, source.camera))
-    kept = tracker.remembered
-    remembered = None if kept is None else tracked_folder.read_remembered(folder, kept)[1]
-    tracker.resume(states[-2], states[-1], source.normals(done[present[-1]]), remembered)
+    kept = tracker.running
+    running = None if kept is None else tracked_folder.read_running_template(folder, kept)[1]
+    tracker.resume(states[-2], states[-1], source.normals(done[present[-1]]), running)
 
 
 def _copy_reversed(folder: Path, writer: MeshSequenceWriter, tracker: SurfaceTracker) -> None:

@@ -21,7 +21,7 @@ from vntoolkit.io.maps_and_meshes.arrays import read_npz
 from vntoolkit.io.results.folder import FolderKind, flat, remove_if_empty
 from vntoolkit.io.results.sequences import SEQUENCE_FILES, read_mesh_sequence
 from vntoolkit.io.rigs import camera_from_content, entry_from_camera
-from vntoolkit.tracking.remembered import Remembered
+from vntoolkit.tracking.running_template import RunningTemplate
 
 _RECORD = "track.json"
 _MEMORY_NAME = "remembered.npz"  # of the last frame, for a run that goes on
@@ -137,14 +137,14 @@ def remove_backwards(folder: Path) -> None:
     remove_if_empty(folder / _BACKWARDS)
 
 
-def write_remembered(folder: Path, frame_count: int, remembered: Remembered) -> None:
-    """Write what is remembered after so many frames of the moving mesh in the folder."""
+def write_running_template(folder: Path, frame_count: int, running: RunningTemplate) -> None:
+    """Write the running template after so many frames of the moving mesh in the folder."""
     with atomic_path(folder / _MEMORY_NAME) as path, path.open("wb") as stream:
-        np.savez(stream, frame_count=frame_count, **vars(remembered))
+        np.savez(stream, frame_count=frame_count, **vars(running))
 
 
-def read_remembered(folder: Path, like: Remembered) -> tuple[int, Remembered]:
-    """Return what `write_remembered` wrote, and after how many frames.
+def read_running_template(folder: Path, like: RunningTemplate) -> tuple[int, RunningTemplate]:
+    """Return what `write_running_template` wrote, and after how many frames.
 
     like: of the same template. Where the folder holds none that is whole and of this template: 0, and that.
     """

@@ -57,13 +57,6 @@ class TemplateRaster:
         """Return the bands of a frame's slopes; jacobians: (nodes, 4) of positions (n, 2)."""
         return self._banded(relief[..., :3], positions_px, jacobians, relief)
 
-    def read(
-        self, relief: Relief, positions_px: Points2
-    ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
-        """Return slopes times weight (h, w, 2), and weight (h, w), at positions (n, 2), not pulled back."""
-        values, weight, _ = self._read(relief[..., :3], positions_px, _NOT_PULLED_BACK, relief)
-        return values, weight
-
     def paint(self, positions_px: Points2, paint: PaintImage | None, relief: Relief) -> list[Band]:
         """Return the bands of a frame's paint, empty ones for None; relief: of the same frame."""
         nothing = np.zeros((*relief.shape[:2], 2), np.float32)

@@ -16,7 +16,7 @@ from vntoolkit.native import njit
 from vntoolkit.tracking.lattice import TemplateLattice
 
 _SQUARE_PX = 4  # side of the squares of the picture that count as one place: stretched, the mesh leaves gaps
-_SAME_PART = 3  # links: nodes so near on the surface do not hide each other, however steeply they are seen
+_SAME_PART = 3  # edges: nodes so near on the surface do not hide each other, however steeply they are seen
 
 
 class Covering:
@@ -27,12 +27,9 @@ class Covering:
         self._node = lattice.node_of_vertex
         self._vertices = np.bincount(self._node, minlength=lattice.count)
         self._shape = (camera.height // _SQUARE_PX + 1, camera.width // _SQUARE_PX + 1)
-        shape = (lattice.count, lattice.count)
-        ones = np.ones(len(lattice.neighbours))
-        beside = sp.csr_array((ones, lattice.neighbours, lattice.starts), shape=shape)
         self._near = sp.csr_array(sp.eye_array(lattice.count))  # which nodes are of the same part as each
         for _ in range(_SAME_PART):
-            self._near = sp.csr_array(self._near + self._near @ beside)
+            self._near = sp.csr_array(self._near + self._near @ lattice.adjacency)
         self._near.sort_indices()
 
     def of(self, positions_px: Points2, match: FloatArray) -> npt.NDArray[np.float64]:

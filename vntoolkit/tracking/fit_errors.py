@@ -1,121 +1,122 @@
 """The error to expect of a fit: errors are drawn for every term of the problem, and solved with.
 
-Windows overlap, and strain goes on from link to link: errors of neighbours are alike. So each kind is drawn
+Windows overlap, and strain goes on from edge to edge: errors of neighbours are alike. So each kind is drawn
 as white noise, smoothed as far as it reaches. How large the strain is that nothing foresees is read from how
-far the solution departs from the guesses (a variance component, `foerstner1979`): as far as from drawn
+far the solution departs from the prior (a variance component, `foerstner1979`): as far as from drawn
 strain, if it is as large as given. Only the part that varies slowly over the figure is compared: that part
-adds up to errors. Where links depart farther than elsewhere, as along an arm that opens, the strain is larger
+adds up to errors. Where edges depart farther than elsewhere, as along an arm that opens, the strain is larger
 than the mean.
 
 The finest relief sits on the surface. Shapes beside an occluding contour may stay in place while the surface
-turns beneath them: windows that see them then all have the same error. So have those on what is remembered of
-a place that the template no longer matches: it may have been remembered off its place. All lengths share one
-error too: the difference between their two guesses.
+turns beneath them: windows that see them then all have the same error. So have those on the running template
+of a place that the template no longer matches: it may have been laid off its place. All lengths share one
+error too: the difference between the two parts of their prior.
 """
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
 
 from vntoolkit.arrays import FloatArray
-from vntoolkit.tracking.lattice import TemplateLattice
+from vntoolkit.tracking.edge_prior import STRAIN_PASSES, EdgePrior
+from vntoolkit.tracking.factors import Factor, cholesky, full_of
+from vntoolkit.tracking.lattice import NODES_BY_PASS, TemplateLattice
 from vntoolkit.tracking.lattice_system import LatticeSolution
-from vntoolkit.tracking.lengths import STRAIN_PASSES, LinkLengths, slow_monomials
-from vntoolkit.tracking.registration import TemplateRegistration, WindowSteps
+from vntoolkit.tracking.modes import slow_monomials
 
 _SAMPLES = 16
 _PRIOR = 0.1  # share of the given strain in what is found
-_NEAR_PASSES = 8  # of lattice smoothing: how far around departures of links tell of a place
+_NEAR_PASSES = 8  # of lattice smoothing: how far around residuals of edges tell of a place
 
 
 class FitErrors:
     """Expected errors of the fits of one template."""
 
-    def __init__(
-        self, lattice: TemplateLattice, registration: TemplateRegistration, lengths: LinkLengths
-    ) -> None:
-        """Draw what every frame's errors are made of."""
-        self._lattice, self._links = lattice, lengths.links
+    def __init__(self, lattice: TemplateLattice, prior: EdgePrior, passes: Sequence[int]) -> None:
+        """Draw what every frame's errors are made of; passes: of each window's lattice smoothing."""
+        self._lattice, self._edges = lattice, prior.edges
         m = lattice.count
         rng = np.random.default_rng(0)
         shape = (m, 2, _SAMPLES)
-        self._windows = []
-        for windows in registration.windows:
-            alike = _unit(lattice.smoothed(rng.standard_normal((m, 2 * _SAMPLES)), windows.passes))
-            self._windows.append((alike / np.sqrt(windows.nodes)).reshape(shape))
-        self._windows.append(self._windows[0])  # of what is remembered: it errs as the finest relief does
-        self._outline = rng.standard_normal(shape)
+        self._drawn = []
+        for each in passes:
+            alike = _unit(lattice.smoothed(rng.standard_normal((m, 2 * _SAMPLES)), each))
+            self._drawn.append((alike / np.sqrt(NODES_BY_PASS * each)).reshape(shape))
+        self._drawn.append(self._drawn[0])  # of the running template: it errs as the finest relief does
+        self._drawn.append(rng.standard_normal(shape))  # of the outline
         local = _unit(lattice.smoothed(rng.standard_normal((m, 4 * _SAMPLES)), STRAIN_PASSES))
-        strain = local.reshape(m, 2, 2, _SAMPLES)[self._links].mean(axis=1)
-        along = lengths.along / np.linalg.norm(lengths.along, axis=1, keepdims=True)
+        strain = local.reshape(m, 2, 2, _SAMPLES)[self._edges].mean(axis=1)
+        along = prior.along / np.linalg.norm(prior.along, axis=1, keepdims=True)
         self._local = np.einsum("eijk,ej->eik", strain, along)
-        self._compared = _compared(lengths)
+        self._compared = _compared(prior)
 
     def expected(
         self,
         solution: LatticeSolution,
-        windows: list[WindowSteps],
-        outline: FloatArray,
-        sd: FloatArray,
-        departures: FloatArray,
-        doubt: FloatArray,
+        factors: Sequence[Factor],
+        deviation: FloatArray,
+        residuals: FloatArray,
+        shared: FloatArray,
     ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-        """Return (nodes,) the expected squared error, px², and (links,) how far links are known.
+        """Return the expected squared error (nodes,) of a fit, and (edges,) how far each is known.
 
-        windows: in pixels of the frame, as the information (nodes, 3) of the outline. sd: (links,) standard
-        deviation of the steps. departures: (links, 2) of the solution from what lengths guess. doubt: (links,
-        2, k) as guessed. A link that errs as its guess does is known by 0, one that does not err by 1.
+        factors: of windows, running template and outline, in pixels of the frame. deviation: (edges,)
+        standard deviation of the prior, by direction. residuals: (edges, 2) of the prior. shared: (edges, 2)
+        deviation of all of it together. An edge that errs as its prior does is known by 0, one without error
+        by 1.
         """
-        measured = np.einsum("nij,njk->nik", cholesky(outline), self._outline)
-        for each, drawn in zip(windows, self._windows, strict=False):
+        measured = np.zeros((self._lattice.count, 2, _SAMPLES))
+        for each, drawn in zip(factors, self._drawn, strict=True):
             measured += np.einsum("nij,njk->nik", cholesky(each.information), drawn)
-        size = sd[:, None, None]
+        size = deviation[:, None, None]
         straight = np.zeros_like(self._local)
-        shared = [
-            each.slide_px[:, None, None] * each.information[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
-            for each in windows
-            if each.slide_px.any()
+        slid = [
+            each.shared_px[:, None, None] * full_of(each.information)
+            for each in factors
+            if each.shared_px.any()
         ]
-        nothing = np.zeros((len(outline), 2, _SAMPLES + doubt.shape[2]))
-        unmoved = np.zeros((len(sd), 2, 2 * len(shared)))
+        nothing = np.zeros((len(measured), 2, _SAMPLES + 1))
+        unmoved = np.zeros((len(deviation), 2, 2 * len(slid)))
         errors, left = solution.solved(
-            np.concatenate([measured, nothing, *shared], axis=2),
-            np.concatenate([straight, size * self._local, doubt, unmoved], axis=2),
+            np.concatenate([measured, nothing, *slid], axis=2),
+            np.concatenate([straight, size * self._local, shared[:, :, None], unmoved], axis=2),
         )
-        by_measurement, by_local, by_given = np.split(errors, [_SAMPLES, 2 * _SAMPLES], axis=2)
+        by_measurement, by_local, by_shared = np.split(errors, [_SAMPLES, 2 * _SAMPLES], axis=2)
         foreseen = (left[:, :, :_SAMPLES] + left[:, :, _SAMPLES : 2 * _SAMPLES]) / size
-        usual = np.square(self._compared @ foreseen.reshape(len(sd), 2 * _SAMPLES)).sum() / _SAMPLES
-        departs = departures / sd[:, None]
-        found = np.square(self._compared @ departs).sum()
+        usual = np.square(self._compared @ foreseen.reshape(len(deviation), 2 * _SAMPLES)).sum() / _SAMPLES
+        scaled = residuals / deviation[:, None]
+        found = np.square(self._compared @ scaled).sum()
         whole = np.sqrt(_PRIOR + (1.0 - _PRIOR) * (found / usual if usual > 0 else 1.0))
-        strain = whole * self._varies(departs[:, :, None], foreseen)
+        strain = whole * self._varies(scaled[:, :, None], foreseen)
         drawn = np.square(by_measurement + strain[:, None, None] * by_local).sum(axis=1).mean(axis=1)
-        square = np.asarray(drawn + np.square(by_given).sum(axis=(1, 2)))
-        return square, self._told(by_measurement + by_local, size * self._local)
+        square = np.asarray(drawn + np.square(by_shared).sum(axis=(1, 2)))
+        return square, self._known(by_measurement + by_local, size * self._local)
 
-    def _told(self, errors: FloatArray, guessed: FloatArray) -> npt.NDArray[np.float64]:
-        """(links,) the share by which drawn errors (nodes, 2, k) of a link are below those of its guess."""
-        a, b = self._links.T
-        squares = [np.square(each).sum(axis=(1, 2)) for each in (errors[b] - errors[a], guessed)]
+    def _known(self, errors: FloatArray, foreseen: FloatArray) -> npt.NDArray[np.float64]:
+        """(edges,) the share by which drawn errors (nodes, 2, k) of an edge are below those of its prior."""
+        a, b = self._edges.T
+        squares = [np.square(each).sum(axis=(1, 2)) for each in (errors[b] - errors[a], foreseen)]
         return np.clip(1.0 - squares[0] / np.maximum(squares[1], 1e-12), 0.0, 1.0)
 
-    def _varies(self, *departures: FloatArray) -> npt.NDArray[np.float64]:
-        """(nodes,) strain around each over its root mean square, by departures (links, 2, k) of links."""
-        m, (a, b) = self._lattice.count, self._links.T
-        squares = [np.square(each).sum(axis=(1, 2)) for each in departures]
+    def _varies(self, *residuals: FloatArray) -> npt.NDArray[np.float64]:
+        """(nodes,) strain around each over its root mean square, by residuals (edges, 2, k)."""
+        m, (a, b) = self._lattice.count, self._edges.T
+        squares = [np.square(each).sum(axis=(1, 2)) for each in residuals]
         sums = np.stack([np.bincount(a, x, m) + np.bincount(b, x, m) for x in squares], axis=1)
         found, usual = self._lattice.smoothed(sums, _NEAR_PASSES).T
         square = _PRIOR + (1.0 - _PRIOR) * _SAMPLES * found / np.maximum(usual, 1e-12)
         return np.asarray(np.sqrt(square / square.mean()))
 
 
-def _compared(lengths: LinkLengths) -> npt.NDArray[np.float64]:
-    """(k, links) orthonormal polynomials of the place, of links across and of links along apart."""
-    if len(lengths.links) == 0:
+def _compared(prior: EdgePrior) -> npt.NDArray[np.float64]:
+    """(k, edges) orthonormal polynomials of the place, of edges across and of edges along apart."""
+    if len(prior.edges) == 0:
         return np.zeros((1, 0))
-    terms = _polynomials(0.5 * (lengths.centres[lengths.links[:, 0]] + lengths.centres[lengths.links[:, 1]]))
-    across = (np.abs(lengths.along[:, 0]) > np.abs(lengths.along[:, 1]))[:, None]
+    terms = _polynomials(0.5 * (prior.centres[prior.edges[:, 0]] + prior.centres[prior.edges[:, 1]]))
+    across = (np.abs(prior.along[:, 0]) > np.abs(prior.along[:, 1]))[:, None]
     return np.vstack([np.linalg.qr(terms * chosen)[0].T for chosen in (across, ~across)])
 
 
@@ -126,11 +127,3 @@ def _polynomials(place: FloatArray) -> npt.NDArray[np.float64]:
 
 def _unit(fields: FloatArray) -> npt.NDArray[np.float64]:
     return np.asarray(fields / max(float(fields.std()), 1e-12))
-
-
-def cholesky(information: FloatArray) -> npt.NDArray[np.float64]:
-    """Lower roots (m, 2, 2) of information (m, 3)."""
-    a = np.sqrt(np.maximum(information[:, 0], 1e-30))
-    b = information[:, 1] / a
-    c = np.sqrt(np.maximum(information[:, 2] - b * b, 0.0))
-    return np.stack([a, np.zeros_like(a), b, c], axis=1).reshape(-1, 2, 2)

@@ -17,7 +17,6 @@ from vntoolkit.arrays import Flow, Mask, Points, Points2
 from vntoolkit.checks import require_same_size
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, NormalMap
-from vntoolkit.native import njit
 from vntoolkit.tracking.slopes import sample_depth, sample_image
 
 _SPACING_PX = 8  # of the points that Lucas–Kanade follows
@@ -32,14 +31,14 @@ _SURE = 8.0  # standard deviations of a correlation over all shifts, of which th
 _RELIEF_SIGMA_PX = 4.0  # of the mean that is taken off the normals
 _RELIEF_GAIN = 400.0  # steps of a byte per unit of normal
 
-Relief = npt.NDArray[np.uint8]  # (h, w, 3)
+ReliefBytes = npt.NDArray[np.uint8]  # (h, w, 3)
 
 
 def flow_between(
     first: NormalMap,
     second: NormalMap,
     expected: Flow | None = None,
-    relief: tuple[Relief, Relief] | None = None,
+    relief: tuple[ReliefBytes, ReliefBytes] | None = None,
 ) -> Flow:
     """Return the flow (h, w, 2) in pixels that carries `first` to `second`.
 
@@ -56,7 +55,7 @@ def flow_between(
     return _lattice_flow(before, after, start, first.mask)
 
 
-def bytes_from_normals(normal_map: NormalMap) -> Relief:
+def bytes_from_normals(normal_map: NormalMap) -> ReliefBytes:
     """Return (h, w, 3) bytes of the fine relief of a normal map, as OpenCV's DIS and LK need; 128 outside.
 
     The mean over the surroundings is taken off, and what is left is stretched: a surface that turns changes
@@ -70,7 +69,8 @@ def bytes_from_normals(normal_map: NormalMap) -> Relief:
     normals = normal_map.normals_in_camera[box] * weight[..., None]
     mean = cv2.GaussianBlur(normals, (0, 0), _RELIEF_SIGMA_PX)
     share = cv2.GaussianBlur(weight, (0, 0), _RELIEF_SIGMA_PX)
-    bytes_[box] = _encode(normals, mean, share, mask)
+    fine = 128.5 + _RELIEF_GAIN * (normals - mean / np.maximum(share, np.float32(1e-6))[..., None])
+    bytes_[box][mask] = np.clip(fine[mask], 0, 255).astype(np.uint8)
     return bytes_
 
 
@@ -90,23 +90,6 @@ def targets_on_surface(
     return camera.unproject(positions_px, np.where(found, depth, fallback_depth)), found
 
 
-def dense_flow(first: NormalMap, second: NormalMap) -> Flow:
-    """Return the flow (h, w, 2) in pixels of DIS on the fine relief of two normal maps: far, and coarse.
-
-    It starts from the one shift at which the two correlate best, however far, where that is no chance.
-    """
-    before, after = bytes_from_normals(first), bytes_from_normals(second)
-    shift = _shift_of_best_correlation(_relief_only(before), _relief_only(after), _SURE)
-    moved = np.array([[1, 0, shift[0]], [0, 1, shift[1]]], dtype=np.float64)
-    size = before.shape[1::-1]
-    shifted = np.asarray(cv2.warpAffine(before, moved, size, borderValue=(128, 128, 128)), dtype=np.uint8)
-    flow = cv2.warpAffine(
-        _dis(shifted, after), moved, size, flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
-        borderMode=cv2.BORDER_REPLICATE,
-    )  # fmt: skip
-    return np.asarray(flow + shift, dtype=np.float32)
-
-
 def common_shift(first: NormalMap, second: NormalMap) -> npt.NDArray[np.float32]:
     """Return the one shift (2,) in pixels that carries `first` to `second` best: by relief or outline."""
     before, after = (_relief_only(bytes_from_normals(each)) for each in (first, second))
@@ -117,7 +100,7 @@ def common_shift(first: NormalMap, second: NormalMap) -> npt.NDArray[np.float32]
     return _shift_of_best_correlation(before, after, 0.0)
 
 
-def _relief_only(relief: Relief) -> npt.NDArray[np.float32]:
+def _relief_only(relief: ReliefBytes) -> npt.NDArray[np.float32]:
     return np.asarray(relief[..., :2], np.float32) - np.float32(128)
 
 
@@ -285,16 +268,3 @@ def _box(mask: Mask, sigma_px: float) -> tuple[slice, slice]:
         first, last = (used[0], used[-1]) if used.size else (0, 0)
         sides.append(slice(max(0, int(first) - reach), min(length, int(last) + 1 + reach)))
     return sides[0], sides[1]
-
-
-@njit(cache=True)
-def _encode(normals, mean, share, mask):  # type: ignore[no-untyped-def]
-    h, w = mask.shape
-    out = np.full((h, w, 3), 128, dtype=np.uint8)
-    for v in range(h):
-        for u in range(w):
-            if mask[v, u]:
-                for c in range(3):
-                    relief = normals[v, u, c] - mean[v, u, c] / share[v, u]
-                    out[v, u, c] = np.uint8(min(max(128.5 + _RELIEF_GAIN * relief, 0.0), 255.0))
-    return out

@@ -9,6 +9,7 @@ hold one of them to another.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -28,30 +29,44 @@ class TemplateLattice:
     """Cells of the template and how they hang together.
 
     node_of_vertex: (n,). taps, shares: (n, 4) nodes whose values make a vertex's, and their weights, which
-    sum to 1. starts, neighbours: adjacency of the nodes, by rows. cells: (nodes, 2) column and row of each
-    node's cell, cell_px its side. count: number of nodes.
+    sum to 1. adjacency: (nodes, nodes), 1 for neighbours. cells: (nodes, 2) column and row of each node's
+    cell, cell_px its side. count: number of nodes.
     """
 
     node_of_vertex: npt.NDArray[np.int32]
     taps: npt.NDArray[np.int32]
     shares: npt.NDArray[np.float32]
-    starts: npt.NDArray[np.int64]
-    neighbours: npt.NDArray[np.int32]
+    adjacency: sp.csr_array
     cells: npt.NDArray[np.int64]
     cell_px: int
     count: int
 
     def sums(self, values: FloatArray) -> npt.NDArray[np.float64]:
         """Return (nodes, k) sums of the vertices' values (n, k)."""
-        return _sums(self.node_of_vertex, np.ascontiguousarray(values), self.count)
+        columns = [np.bincount(self.node_of_vertex, each, self.count) for each in values.T]
+        return np.stack(columns, axis=1)
 
     def smoothed(self, values: FloatArray, passes: int) -> npt.NDArray[np.float64]:
         """Return (nodes, k) values plus half of each neighbour's, `passes` times: a growing window."""
-        return _spread(self.starts, self.neighbours, np.array(values, dtype=np.float64, order="C"), passes)
+        out = np.asarray(values, dtype=np.float64)
+        for _ in range(passes):
+            out = out + 0.5 * (self.adjacency @ out)
+        return out
 
     def at_vertices(self, values: FloatArray) -> npt.NDArray[np.float64]:
         """Return (n, k) values interpolated from the nodes' (nodes, k), bilinear within each piece."""
-        return _interpolate(self.taps, self.shares, np.ascontiguousarray(values, dtype=np.float64))
+        return self._interpolation @ np.asarray(values, dtype=np.float64)
+
+    @cached_property
+    def edges(self) -> npt.NDArray[np.int64]:
+        """(edges, 2) nodes that are neighbours, each pair once."""
+        return np.stack(sp.triu(self.adjacency).nonzero(), axis=1).astype(np.int64)
+
+    @cached_property
+    def _interpolation(self) -> sp.csr_array:
+        n = len(self.taps)
+        entries = self.shares.ravel().astype(np.float64), self.taps.ravel(), 4 * np.arange(n + 1)
+        return sp.csr_array(entries, shape=(n, self.count))
 
 
 def lattice_on_template(template: TrackingTemplate, cell_px: int) -> TemplateLattice:
@@ -66,38 +81,38 @@ def lattice_on_template(template: TrackingTemplate, cell_px: int) -> TemplateLat
         (np.ones(int(within.sum()), dtype=np.int8), (first[within], second[within])), shape=(count, count)
     )
     count, piece = connected_components(pieces, directed=False)
-    links = _links(piece[first[~within]], piece[second[~within]], count)
-    kept, node_of_piece = np.unique(_joined(np.bincount(piece), links, cell_px), return_inverse=True)
+    edges = _edges(piece[first[~within]], piece[second[~within]], count)
+    kept, node_of_piece = np.unique(_joined(np.bincount(piece), edges, cell_px), return_inverse=True)
     nodes, node = len(kept), node_of_piece[piece]
-    links = _links(node[first], node[second], nodes)
+    edges = _edges(node[first], node[second], nodes)
     cell_of_piece = np.zeros(count, dtype=np.int64)
     cell_of_piece[piece] = cell
     cell_of_node = cell_of_piece[kept]
     taps, shares = _taps(
-        template.pixels, cell_px, columns, node.astype(np.int32), cell_of_node, links.indptr, links.indices
+        template.pixels, cell_px, columns, node.astype(np.int32), cell_of_node, edges.indptr, edges.indices
     )
     return TemplateLattice(
         node_of_vertex=node.astype(np.int32),
         taps=taps,
         shares=shares,
-        starts=links.indptr.astype(np.int64),
-        neighbours=links.indices.astype(np.int32),
+        adjacency=edges.astype(np.float64),
         cells=np.stack([cell_of_node % columns, cell_of_node // columns], axis=1),
         cell_px=cell_px,
         count=int(nodes),
     )
 
 
-def _links(a: npt.NDArray[np.int64], b: npt.NDArray[np.int64], count: int) -> sp.csr_array:
+def _edges(a: npt.NDArray[np.int64], b: npt.NDArray[np.int64], count: int) -> sp.csr_array:
     """Adjacency of `count` nodes by pairs a, b (n,) of which some are equal."""
     a, b = a[a != b], b[a != b]
     ones = np.ones(2 * len(a), dtype=np.int8)
-    links = sp.csr_array((ones, (np.concatenate([a, b]), np.concatenate([b, a]))), shape=(count, count))
-    links.sum_duplicates()
-    return links
+    edges = sp.csr_array((ones, (np.concatenate([a, b]), np.concatenate([b, a]))), shape=(count, count))
+    edges.sum_duplicates()
+    edges.data[:] = 1
+    return edges
 
 
-def _joined(size: npt.NDArray[np.int64], links: sp.csr_array, least: int) -> npt.NDArray[np.int64]:
+def _joined(size: npt.NDArray[np.int64], edges: sp.csr_array, least: int) -> npt.NDArray[np.int64]:
     """Return the piece that each (pieces,) joins: itself, or with fewer than `least` vertices a larger one.
 
     size: (pieces,) vertices. The largest one beside it is taken; where none is larger, the piece stays.
@@ -107,7 +122,7 @@ def _joined(size: npt.NDArray[np.int64], links: sp.csr_array, least: int) -> npt
     rank = np.empty_like(pieces)
     rank[by_rank] = pieces
     largest = rank.copy()
-    np.maximum.at(largest, np.repeat(pieces, np.diff(links.indptr)), rank[links.indices])
+    np.maximum.at(largest, np.repeat(pieces, np.diff(edges.indptr)), rank[edges.indices])
     joins = np.where(size < least, by_rank[largest], pieces)
     while not np.array_equal(joins, joins[joins]):
         joins = joins[joins]
@@ -136,24 +151,11 @@ class LocalJacobians:
 
     def of(self, positions_px: Points2) -> npt.NDArray[np.float64]:
         """Return (nodes, 4): ∂u/∂x, ∂u/∂y, ∂v/∂x, ∂v/∂y of positions (n, 2) by the template's pixels."""
-        sums = _first_moments(
-            self._lattice.node_of_vertex, self._x, self._centre, positions_px, self._lattice.count
-        )
-        sums = self._lattice.smoothed(sums, _JACOBIAN_PASSES)
+        moved = positions_px - self._centre - self._x
+        moments = np.hstack([moved, moved[:, :1] * self._x, moved[:, 1:] * self._x])
+        sums = self._lattice.smoothed(self._lattice.sums(moments), _JACOBIAN_PASSES)
         mixed = sums[:, 2:].reshape(-1, 2, 2) - sums[:, :2, None] * self._mean[:, None, :]
         return np.asarray((mixed @ self._inverse + np.eye(2)).reshape(-1, 4))
-
-
-@njit(cache=True)
-def _first_moments(node, x, centre, positions, count):  # type: ignore[no-untyped-def]
-    out = np.zeros((count, 6))
-    for i in range(len(node)):
-        for c in range(2):
-            moved = positions[i, c] - centre[c] - x[i, c]
-            out[node[i], c] += moved
-            out[node[i], 2 + 2 * c] += moved * x[i, 0]
-            out[node[i], 3 + 2 * c] += moved * x[i, 1]
-    return out
 
 
 @njit(cache=True)
@@ -197,40 +199,3 @@ def _reached(own, wanted, cell_of_node, starts, neighbours):  # type: ignore[no-
             if cell_of_node[neighbours[q]] == wanted:
                 return neighbours[q]
     return -1
-
-
-@njit(cache=True)
-def _sums(node, values, count):  # type: ignore[no-untyped-def]
-    k = values.shape[1]
-    out = np.zeros((count, k))
-    for i in range(len(node)):
-        for c in range(k):
-            out[node[i], c] += values[i, c]
-    return out
-
-
-@njit(cache=True, fastmath=True)
-def _spread(starts, neighbours, values, passes):  # type: ignore[no-untyped-def]
-    """Overwrite values, and return them or a second array."""
-    other = np.empty_like(values)
-    for _ in range(passes):
-        for i in range(values.shape[0]):
-            for c in range(values.shape[1]):
-                other[i, c] = values[i, c]
-            for p in range(starts[i], starts[i + 1]):
-                j = neighbours[p]
-                for c in range(values.shape[1]):
-                    other[i, c] += 0.5 * values[j, c]
-        values, other = other, values
-    return values
-
-
-@njit(cache=True, fastmath=True)
-def _interpolate(taps, shares, values):  # type: ignore[no-untyped-def]
-    n, k = taps.shape[0], values.shape[1]
-    out = np.zeros((n, k))
-    for i in range(n):
-        for corner in range(4):
-            for c in range(k):
-                out[i, c] += shares[i, corner] * values[taps[i, corner], c]
-    return out

@@ -19,6 +19,7 @@ from vntoolkit.arrays import FloatArray, Mask, Points2
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap
 from vntoolkit.native import njit
+from vntoolkit.tracking.factors import Factor, total
 from vntoolkit.tracking.lattice import TemplateLattice
 from vntoolkit.tracking.slopes import Slopes, sample_image
 from vntoolkit.tracking.template import TrackingTemplate
@@ -67,10 +68,8 @@ class Outline:
         self._node = lattice.node_of_vertex[self._border]
         self._open = at[self._border, 3]
 
-    def measure(
-        self, positions_px: Points2, inverse: FloatArray, field: npt.NDArray[np.float32]
-    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-        """Return information (m, 3) and pull (m, 2), in pixels of the frame. inverse: (m, 2, 2) J⁻¹ at nodes.
+    def measure(self, positions_px: Points2, inverse: FloatArray, field: npt.NDArray[np.float32]) -> Factor:
+        """Return what it tells, in pixels of the frame. inverse: (m, 2, 2) J⁻¹ at nodes.
 
         An outline that is far off, or that faces another way, is not this border's: a leg has none on its
         inner side while the other passes before it. As far as it may be an occluding contour, the surface may
@@ -93,14 +92,15 @@ class Outline:
         residual = self._own - at[:, 0]
         likely = np.maximum((outward * at[:, 1:3]).sum(axis=1), 0.0) / (1.0 + (residual / _FAR_PX) ** 2) ** 2
         weight = openness * likely / (_SIGMA_PX**2 + (1.0 - openness) * _FAR_PX**2)
-        information, pull = self._gathered(self._node, at[:, 1:3], residual, weight)
-        off = np.flatnonzero(_outside(field, positions_px))
+        border = self._gathered(self._node, at[:, 1:3], residual, weight)
+        u, v = np.floor(positions_px + 0.5).astype(np.int64).T
+        off = np.flatnonzero((u >= 0) & (u < w) & (v >= 0) & (v < h))
+        off = off[field[v[off], u[off], 0] > 0.5]
         at = sample_image(field, positions_px[off])
         node, whole = self._lattice.node_of_vertex[off], np.full(len(off), _INSIDE_SIGMA_PX**-2)
-        more, more_pull = self._gathered(node, at[:, 1:3], 0.5 - at[:, 0], whole)
-        return information + more, pull + more_pull
+        return total([border, self._gathered(node, at[:, 1:3], 0.5 - at[:, 0], whole)])
 
-    def _gathered(self, node, normal, residual, weight):  # type: ignore[no-untyped-def]
+    def _gathered(self, node, normal, residual, weight) -> Factor:  # type: ignore[no-untyped-def]
         count = self._lattice.count
         robust = weight / np.maximum(1.0, np.abs(residual) / _HUBER_PX)
         terms = (
@@ -118,18 +118,30 @@ class Outline:
         # The band may lie across two cells: either then has its part of what one outline tells.
         number = np.maximum(np.bincount(node, minlength=count), _BAND_PX * self._lattice.cell_px)
         sums = np.stack([np.bincount(node, terms[:, k], minlength=count) / number for k in range(5)], axis=1)
-        return sums[:, :3], sums[:, 3:]
+        return Factor(sums[:, :3], sums[:, 3:], np.zeros(count))
 
 
 def outline_of_figure(mask: Mask, slopes: Slopes) -> npt.NDArray[np.float32]:
     """(h, w, 4): signed distance, its gradient, and openness, of one frame."""
     distance = signed_distance(mask)
-    smooth = cv2.GaussianBlur(distance, (0, 0), 2.0)
-    figure = _directed(cv2.GaussianBlur(distance, (0, 0), 1.0), smooth)
+    down, right = np.gradient(cv2.GaussianBlur(distance, (0, 0), 2.0))
+    length = np.maximum(np.hypot(right, down), np.float32(1e-6))
+    smooth = cv2.GaussianBlur(distance, (0, 0), 1.0)
+    figure = cv2.merge([smooth, right / length, down / length, np.zeros_like(smooth)])
     box = _around(mask)
-    near, far = (cv2.blur(slopes[box], (px, px)) for px in _BOXES_PX)
-    figure[(*box, 3)] = _openness(near, far)
-    return figure
+    figure[(*box, 3)] = _openness(slopes[box])
+    return np.asarray(figure, np.float32)
+
+
+def _openness(slopes: Slopes) -> npt.NDArray[np.float32]:
+    """(h, w) from 0 to 1, by the cosine to the viewing ray that mean slopes extrapolate to the rim."""
+    means = [cv2.blur(slopes, (px, px)) for px in _BOXES_PX]
+    squares = [np.square(each) for each in means]
+    near, far = (each[..., 2] / np.maximum(each.sum(axis=-1), np.float32(1e-12)) for each in squares)
+    low, high = _OPEN_FACING
+    facing = np.sqrt(np.clip(near + _PER_BOX * (near - far), 0.0, 1.0))
+    known = means[0][..., 2] > _LEAST_WEIGHT
+    return np.asarray(known * np.clip((facing - low) / (high - low), 0.0, 1.0), np.float32)
 
 
 def contour_distance(figure: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
@@ -138,17 +150,6 @@ def contour_distance(figure: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]
     if not contour.any():
         return np.full(contour.shape, np.inf, np.float32)
     return np.asarray(cv2.distanceTransform((~contour).astype(np.uint8), cv2.DIST_L2, 5), np.float32)
-
-
-@njit(cache=True)
-def _outside(field, positions):  # type: ignore[no-untyped-def]
-    """(n,) True where a position lies in the image and off the figure."""
-    h, w = field.shape[:2]
-    out = np.zeros(len(positions), dtype=np.bool_)
-    for i in range(len(positions)):
-        u, v = int(np.floor(positions[i, 0] + 0.5)), int(np.floor(positions[i, 1] + 0.5))
-        out[i] = 0 <= u < w and 0 <= v < h and field[v, u, 0] > 0.5
-    return out
 
 
 def signed_distance(mask: Mask) -> npt.NDArray[np.float32]:
@@ -194,44 +195,6 @@ def _around(mask: Mask) -> tuple[slice, slice]:
         slice(max(0, int(a) - margin), int(b) + 1 + margin) for a, b in zip(low, high, strict=True)
     )
     return row, column
-
-
-@njit(cache=True)
-def _directed(distance, smooth):  # type: ignore[no-untyped-def]
-    """(h, w, 4): distance, the direction in which the smooth one grows, and room for the openness."""
-    h, w = distance.shape
-    out = np.zeros((h, w, 4), dtype=np.float32)
-    for v in range(h):
-        above, below = max(v - 1, 0), min(v + 1, h - 1)
-        for u in range(w):
-            left, right = max(u - 1, 0), min(u + 1, w - 1)
-            x, y = smooth[v, right] - smooth[v, left], smooth[below, u] - smooth[above, u]
-            length = max(np.sqrt(x * x + y * y), np.float32(1e-6))
-            out[v, u, 0], out[v, u, 1], out[v, u, 2] = distance[v, u], x / length, y / length
-    return out
-
-
-@njit(cache=True)
-def _openness(near, far):  # type: ignore[no-untyped-def]
-    """(h, w) from 0 to 1, by mean slopes."""
-    h, w = near.shape[:2]
-    low, high = _OPEN_FACING
-    out = np.zeros((h, w), dtype=np.float32)
-    for v in range(h):
-        for u in range(w):
-            if near[v, u, 2] > _LEAST_WEIGHT:
-                square = _squared_facing(near[v, u])
-                rim = square + _PER_BOX * (square - _squared_facing(far[v, u]))
-                facing = np.sqrt(min(max(rim, 0.0), 1.0))
-                out[v, u] = min(max((facing - low) / (high - low), 0.0), 1.0)
-    return out
-
-
-@njit(cache=True)
-def _squared_facing(slopes):  # type: ignore[no-untyped-def]
-    """Squared cosine between viewing ray and normal, of slopes (3,) premultiplied by their weight."""
-    square = slopes[2] ** 2
-    return square / (square + slopes[0] ** 2 + slopes[1] ** 2)
 
 
 def occluding_contours(slopes: Slopes, mask: Mask) -> Mask:

@@ -303,30 +303,11 @@ def _sample_masked(image, mask, positions):  # type: ignore[no-untyped-def]
 
 def _high_pass(values: npt.NDArray[np.float32], weight: npt.NDArray[np.float32]) -> None:
     """Take the Gaussian mean off values (h, w, k) premultiplied by weight (h, w), thrice; divide by it."""
-    share = cv2.GaussianBlur(weight, (_TAPS, _TAPS), _SIGMA_PX)
+    around = cv2.GaussianBlur(weight, (_TAPS, _TAPS), _SIGMA_PX)
+    share = np.where(weight > 0, weight / np.maximum(around, _LEAST_DIVISOR), np.float32(0.0))[..., None]
     for _ in range(_TIMES):
-        mean = cv2.GaussianBlur(values, (_TAPS, _TAPS), _SIGMA_PX).reshape(values.shape)
-        _take_off(values, weight, share, mean)
-    _divide(values, weight)
-
-
-@njit(cache=True)
-def _take_off(values, weight, share, mean):  # type: ignore[no-untyped-def]
-    for v in range(weight.shape[0]):
-        for u in range(weight.shape[1]):
-            if weight[v, u] > 0:
-                factor = weight[v, u] / share[v, u]
-                for c in range(values.shape[2]):
-                    values[v, u, c] -= factor * mean[v, u, c]
-
-
-@njit(cache=True)
-def _divide(values, weight):  # type: ignore[no-untyped-def]
-    for v in range(weight.shape[0]):
-        for u in range(weight.shape[1]):
-            factor = np.float32(1.0) / max(weight[v, u], np.float32(1e-3))
-            for c in range(values.shape[2]):
-                values[v, u, c] *= factor
+        values -= share * cv2.GaussianBlur(values, (_TAPS, _TAPS), _SIGMA_PX).reshape(values.shape)
+    values /= np.maximum(weight, _LEAST_DIVISOR)[..., None]
 
 
 @njit(cache=True)

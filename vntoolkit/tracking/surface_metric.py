@@ -1,7 +1,7 @@
-"""The metric that a frame's normals give the surface, over the nodes of the lattice and along its links.
+"""The metric that a frame's normals give the surface, over the nodes of the lattice and along its edges.
 
-Lengths along a link are those of what lies between its two nodes: half of either cell. Means over whole cells
-reach as far again beyond both, and smooth a narrow fold away.
+Lengths along an edge are those of what lies between its two nodes: half of either cell. Means over whole
+cells reach as far again beyond both, and smooth a narrow fold away.
 """
 
 from __future__ import annotations
@@ -54,31 +54,31 @@ class SurfaceMetric:
         camera: Camera,
         positions_px: Points2,
         centres: Points2,
-        links: IntArray,
+        edges: IntArray,
         along: FloatArray,
     ) -> None:
         """Divide the cells. positions_px: (n, 2) of the template. centres: (m, 2) of its nodes.
 
-        links: (e, 2) nodes. along: (e, 2) from one to the other, pixels.
+        edges: (e, 2) nodes. along: (e, 2) from one to the other, pixels.
         """
         self._camera, self._count = camera, 4 * lattice.count
         right, below = (positions_px > centres[lattice.node_of_vertex]).T
         self._quadrant = (4 * lattice.node_of_vertex + right + 2 * below).astype(np.int32)
         axis = (np.abs(along[:, 1]) > np.abs(along[:, 0])).astype(np.int64)
         onward = (np.where(axis == 0, along[:, 0], along[:, 1]) > 0).astype(np.int64)
-        first, second = 4 * links.T[:, :, None]
+        first, second = 4 * edges.T[:, :, None]
         self._between = np.hstack([first + _SIDES[axis, onward], second + _SIDES[axis, 1 - onward]])
         self._vertices = np.bincount(self._quadrant, minlength=self._count)
 
     def read(self, slopes: Slopes, positions_px: Points2, scale: FloatArray) -> tuple[MeanMetric, MeanMetric]:
-        """Return the metric over the nodes, and along the links, at positions (n, 2).
+        """Return the metric over the nodes, and along the edges, at positions (n, 2).
 
         scale: (n,) how far the surface is, by how far it is in the template.
         """
         sums = metric_sums(slopes, self._camera, positions_px, scale, self._quadrant, self._count)
         cells = np.arange(self._count).reshape(-1, 4)
-        nodes, links = (_mean(sums, self._vertices, pieces) for pieces in (cells, self._between))
-        return nodes, links
+        nodes, edges = (_mean(sums, self._vertices, pieces) for pieces in (cells, self._between))
+        return nodes, edges
 
 
 def _mean(sums: FloatArray, vertices: IntArray, pieces: IntArray) -> MeanMetric:

@@ -7,16 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-import scipy.sparse as sp
 
-from vntoolkit.arrays import FloatArray, Points, Points2, VisibilityLabels, read_only
+from vntoolkit.arrays import Points, Points2, VisibilityLabels, read_only
 from vntoolkit.checks import require_same_size
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, NormalMap
 from vntoolkit.geometry.mesh import Mesh, cotangent_laplacian, graph_laplacian
 from vntoolkit.options.tracking import Tracker, TrackingOptions
 from vntoolkit.tracking.flow import (
-    Relief,
+    ReliefBytes,
     advected_positions,
     bytes_from_normals,
     flow_between,
@@ -30,7 +29,7 @@ from vntoolkit.tracking.regularisers import (
     TranslationRegulariser,
     beta_from_smoothing_length,
 )
-from vntoolkit.tracking.remembered import Remembered
+from vntoolkit.tracking.running_template import RunningTemplate
 from vntoolkit.tracking.surface_fit import SurfaceFit
 from vntoolkit.tracking.template import TrackingTemplate, template_from_maps
 
@@ -78,16 +77,13 @@ class SurfaceTracker:
         options: TrackingOptions | None = None,
         seams: Sequence[Points2] = (),
         labels: VisibilityLabels | None = None,
-        pattern: Sequence[FloatArray] = (),
         paint: Paint | None = None,
-        paint_pattern: Sequence[FloatArray] = (),
     ) -> None:
         """Cut the template along the seams and prepare what every frame solves.
 
         template, depth: maps of the template frame. seams: polylines (k, 2) in its pixels. labels: (h, w),
         bit k set where light k arrives; None where not known. paint: (h, w) by `paint_of_frame`; None to
-        track by relief alone. pattern, paint_pattern: of the sensor, by `fixed_pattern` of slopes and of
-        paint; empty for none. Raises BadInput where no pixel is valid or a seam leaves the mask.
+        track by relief alone. Raises BadInput where no pixel is valid or a seam leaves the mask.
         """
         self.options = options or TrackingOptions()
         self.camera = camera
@@ -96,15 +92,13 @@ class SurfaceTracker:
         self._solver: Solver | None = None
         uncertainty = None
         if self.options.method is Tracker.DEFAULT:
-            self._fit = SurfaceFit(
-                self.template, template, depth, camera, labels, pattern, paint, paint_pattern
-            )
+            self._fit = SurfaceFit(self.template, template, depth, camera, labels, paint)
             uncertainty = np.zeros(len(self.template.pixels))
         else:
             self._solver = _solver(self.template, self.options)
         self.state = tracked_frame(self.template.vertices_in_camera, uncertainty, camera)
         self._before, self._previous = self.state, template
-        self._relief: Relief | None = None  # of the frame before
+        self._relief: ReliefBytes | None = None  # of the frame before
 
     @property
     def mesh(self) -> Mesh:
@@ -143,25 +137,25 @@ class SurfaceTracker:
         return self.state
 
     @property
-    def remembered(self) -> Remembered | None:
-        """What the frames so far have shown of the surface; None for a published method."""
-        return None if self._fit is None else self._fit.remembered
+    def running(self) -> RunningTemplate | None:
+        """The running template after the frames so far; None for a published method."""
+        return None if self._fit is None else self._fit.running
 
     def resume(
         self,
         before: TrackedFrame,
         state: TrackedFrame,
         previous: NormalMap,
-        remembered: Remembered | None = None,
+        running: RunningTemplate | None = None,
     ) -> None:
-        """Continue from the results of the last two frames, the last one's normals, and what is remembered.
+        """Continue from the results of the last two frames, the last one's normals, and the running template.
 
         Without the last, nothing but the template is.
         """
         self._before, self.state, self._previous = before, state, previous
         self._relief = None
         if self._fit is not None:
-            self._fit.remember(remembered)
+            self._fit.reset(running)
 
     def _published_step(self, normal_map: NormalMap, depth_map: DepthMap) -> npt.NDArray[np.floating]:
         """Equations 5 and 6 (flow, and the surface where it leads), then a regulariser."""
@@ -194,12 +188,9 @@ def _solver(template: TrackingTemplate, options: TrackingOptions) -> Solver | No
         case Tracker.ARAP:
             return ArapRegulariser(template)
         case Tracker.LAPLACIAN | Tracker.LAPLACIAN_PREVIOUS:
-            laplacian, edges = graph_laplacian(template.edges, count), template.edges
+            laplacian = graph_laplacian(template.edges, count)
         case Tracker.LAPLACIAN_COTANGENT:
             laplacian = cotangent_laplacian(template.vertices_in_camera, template.faces)
-            upper = sp.coo_array(sp.triu(laplacian, k=1))
-            edges = np.stack([upper.row, upper.col], axis=1)
         case _:
             return None
-    beta = beta_from_smoothing_length(options.smoothing_length)
-    return LaplacianRegulariser(laplacian, edges, template.positions_px, beta)
+    return LaplacianRegulariser(laplacian, beta_from_smoothing_length(options.smoothing_length))

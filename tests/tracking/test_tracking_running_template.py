@@ -10,8 +10,8 @@ from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, NormalMap
 from vntoolkit.tracking import surface_fit
 from vntoolkit.tracking.bands import Band
-from vntoolkit.tracking.guess_errors import usual_errors
-from vntoolkit.tracking.remembered import Finest, Remembered, remembered_template, what_exceeds
+from vntoolkit.tracking.factors import Factor, factor
+from vntoolkit.tracking.running_template import Comparison, RunningTemplate, running_template, what_exceeds
 from vntoolkit.tracking.tracker import SurfaceTracker
 
 WIDTH, HEIGHT = 160, 120
@@ -64,7 +64,7 @@ def on_disc(last: int = 30) -> tuple[float, float]:
 def test_relief_that_turns_into_another_is_followed(monkeypatch: pytest.MonkeyPatch) -> None:
     """As under light that changes: the template tells nothing of it any more."""
     assert on_disc()[0] < 1.5
-    monkeypatch.setattr(Remembered, "with_frame", lambda self, told, nodes_px: self)
+    monkeypatch.setattr(RunningTemplate, "with_frame", lambda self, told: self)
     assert on_disc()[0] > 3.0
 
 
@@ -78,7 +78,9 @@ def test_what_is_remembered_is_doubted_where_the_template_does_not_match(
     assert on_disc()[1] < 0.5 * doubted
 
 
-def finest(information: float, more: float, against: float, offset: tuple[float, float] = (0, 0)) -> Finest:
+def compared(
+    information: float, more: float, against: float, offset: tuple[float, float] = (0, 0)
+) -> Comparison:
     one = np.array([[1.0, 0.0, 1.0]])
     band = Band(
         node=np.zeros((2, 2), np.int32),
@@ -87,28 +89,34 @@ def finest(information: float, more: float, against: float, offset: tuple[float,
         weight=np.ones((2, 2), np.float32),
         beside=np.zeros((2, 2), bool),
     )
-    return Finest((band,), information * one, information * np.array([offset]), against * one, more * one)
+    still = np.zeros((1, 2))
+    return Comparison(
+        (band,),
+        factor(information * one, np.array([offset])),
+        factor(against * one, still),
+        factor(more * one, still),
+    )
 
 
-def memory() -> Remembered:
-    return remembered_template(finest(1, 0, 0).bands, np.zeros((1, 2)), usual_errors(3))
+def memory() -> RunningTemplate:
+    return running_template(compared(1, 0, 0).bands, 1, 3)
 
 
 def test_errors_of_what_is_remembered_grow_slowly_and_fall_where_the_template_tells() -> None:
     remembered = memory()
     variances = []
     for _ in range(200):
-        remembered = remembered.with_frame(finest(2.0, 2.0, 2.0), np.zeros((1, 2)))
+        remembered = remembered.with_frame(compared(2.0, 2.0, 2.0))
         variances.append(remembered.variance[0, 0, 0])
     assert np.all(np.diff(variances) > 0)
     assert variances[0] < 0.02  # half a px² of noise at a rate of a tenth
     for _ in range(100):
-        remembered = remembered.with_frame(finest(20.0, 0.0, 2.0), np.zeros((1, 2)))
+        remembered = remembered.with_frame(compared(20.0, 0.0, 2.0))
     assert remembered.variance[0, 0, 0] < 0.02
 
 
 def test_what_was_not_measured_is_not_mixed_in() -> None:
-    remembered = memory().with_frame(finest(0.0, 0.0, 0.0), np.zeros((1, 2)))
+    remembered = memory().with_frame(compared(0.0, 0.0, 0.0))
     np.testing.assert_array_equal(remembered.variance, 0.0)
     np.testing.assert_array_equal(remembered.features, memory().features)
 
@@ -117,38 +125,39 @@ def test_where_measurements_pull_is_kept_though_lengths_held_the_surface_back() 
     """What is remembered was laid where the fit was; the surface is found beside it."""
     remembered = memory()
     for _ in range(100):
-        remembered = remembered.with_frame(finest(2.0, 2.0, 2.0, (0.5, 0.0)), np.zeros((1, 2)))
-    _, pull = remembered.beyond(np.zeros((1, 3)), np.array([[2.0, 0.0, 2.0]]), np.zeros((1, 2)))
-    more, _ = remembered.beyond(np.zeros((1, 3)), np.array([[2.0, 0.0, 2.0]]), np.zeros((1, 2)))
-    assert pull[0, 0] / more[0, 0] == pytest.approx(0.5, abs=0.01)
+        remembered = remembered.with_frame(compared(2.0, 2.0, 2.0, (0.5, 0.0)))
+    one = np.array([[1.0, 0.0, 1.0]])
+    more = remembered.beyond(factor(0.0 * one, np.zeros((1, 2))), factor(2.0 * one, np.zeros((1, 2))))
+    assert more.right_hand_side[0, 0] / more.information[0, 0] == pytest.approx(0.5, abs=0.01)
 
 
 def test_departures_from_guesses_fade_and_are_kept_where_they_are_told_and_links_are_not_measured() -> None:
     departs = np.array([[2.0, 0.0], [0.0, 4.0], [1.0, 1.0]])
     told, none = np.array([1.0, 0.5, 0.0]), np.zeros(3)
-    remembered = memory().with_guesses(usual_errors(3), departs, told, tested=none)
-    assert 0.0 < remembered.departures[0, 0] < departs[0, 0]
-    assert remembered.departures[1, 1] == pytest.approx(remembered.departures[0, 0])
-    np.testing.assert_array_equal(remembered.departures[2], 0.0)
-    measured = memory().with_guesses(usual_errors(3), departs, none + 1.0, tested=np.array([0.0, 0.0, 1.0]))
-    assert measured.departures[1, 1] > remembered.departures[1, 1]
-    np.testing.assert_array_equal(measured.departures[2], 0.0)
-    followed = remembered.with_guesses(usual_errors(3), remembered.departures, told=none + 1.0, tested=none)
-    ratio = followed.departures[:2] / np.where(departs[:2] > 0, departs[:2], 1.0)
-    assert ratio.max() < remembered.departures[0, 0] / departs[0, 0]
+    remembered = memory().with_residuals(departs, told, measured=none)
+    assert 0.0 < remembered.residuals[0, 0] < departs[0, 0]
+    assert remembered.residuals[1, 1] == pytest.approx(remembered.residuals[0, 0])
+    np.testing.assert_array_equal(remembered.residuals[2], 0.0)
+    measured = memory().with_residuals(departs, none + 1.0, measured=np.array([0.0, 0.0, 1.0]))
+    assert measured.residuals[1, 1] > remembered.residuals[1, 1]
+    np.testing.assert_array_equal(measured.residuals[2], 0.0)
+    followed = remembered.with_residuals(remembered.residuals, known=none + 1.0, measured=none)
+    ratio = followed.residuals[:2] / np.where(departs[:2] > 0, departs[:2], 1.0)
+    assert ratio.max() < remembered.residuals[0, 0] / departs[0, 0]
 
 
 def test_of_two_informations_the_greater_counts_in_every_direction(rng: np.random.Generator) -> None:
     first, second = np.array([[4.0, 0.0, 1.0]]), np.array([[1.0, 0.0, 3.0]])
-    more, pull = what_exceeds(first, second, np.array([[0.7, 0.9]]))
-    np.testing.assert_allclose(more, [[0.0, 0.0, 2.0]], atol=1e-6)
-    np.testing.assert_allclose(pull, [[0.0, 0.6]], atol=1e-6)  # it pulls to where the second found it
-    assert not what_exceeds(first, 0.5 * first, np.zeros((1, 2)))[0].any()
+    still = np.zeros((1, 2))
+    more = what_exceeds(factor(first, still), Factor(second, np.array([[0.7, 0.9]]), np.zeros(1)))
+    np.testing.assert_allclose(more.information, [[0.0, 0.0, 2.0]], atol=1e-6)
+    np.testing.assert_allclose(more.right_hand_side, [[0.0, 0.6]], atol=1e-6)  # to where the second found it
+    assert not what_exceeds(factor(first, still), factor(0.5 * first, still)).information.any()
     roots = rng.normal(size=(2, 50, 2, 2))
     matrices = roots @ np.swapaxes(roots, 2, 3)
     (a, b), triples = matrices, matrices[..., [0, 0, 1], [0, 1, 1]]
-    more, _ = what_exceeds(*triples, np.zeros((50, 2)))
-    for k, known in enumerate(more):
+    more = what_exceeds(*(factor(each, np.zeros((50, 2))) for each in triples))
+    for k, known in enumerate(more.information):
         value, vector = eigh(b[k], a[k])
         across = a[k] @ vector
         exceeding = (across * np.maximum(value - 1.0, 0.0)) @ across.T

@@ -1,0 +1,64 @@
+"""What the whole surface may do beside the prior of its edges: stretch, shear, turn and tilt.
+
+The prior alone would need hundreds of fits to follow a turn: it reads surface and surroundings where they
+were.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from vntoolkit.arrays import FloatArray
+
+_SLOW_DEGREE = 2  # of the polynomials in place that vary slowly
+_STRAIN = 0.07  # standard deviation of stretch and shear in one step of the fit
+_TURN = 0.1  # the same of a turn, radians
+
+
+def modes_of_the_whole(
+    steps: FloatArray, away_px: FloatArray, middles: FloatArray
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Return what the whole may do beside the prior: (edges, 2, k) by unit, (k,) inverse variances of it.
+
+    It stretches and shears, turns in the image and tilts out of it. steps: (edges, 2) as foreseen. away_px:
+    (edges,) by how much the second end of each lies farther. middles: (edges, 2) of the edges, pixels.
+    """
+    strains = uniform_strains(steps)
+    turns = np.concatenate([slow_turns(steps, middles), tilts(away_px)], axis=2)
+    precision = np.repeat([_STRAIN**-2, _TURN**-2], [strains.shape[2], turns.shape[2]])
+    return np.concatenate([strains, turns], axis=2), precision
+
+
+def uniform_strains(steps: FloatArray) -> npt.NDArray[np.float64]:
+    """Return (edges, 2, 3) what stretch along u, along v, and shear of the whole add to steps (edges, 2)."""
+    x, y = steps.T
+    none = np.zeros_like(x)
+    return np.stack([np.stack(mode, axis=1) for mode in ((x, none), (none, y), (y, x))], axis=2)
+
+
+def slow_turns(steps: FloatArray, centres: FloatArray) -> npt.NDArray[np.float64]:
+    """Return (edges, 2, k): what slow turns of 1 radian, one a monomial, add to steps (edges, 2).
+
+    centres: (edges, 2), middles of the edges in pixels.
+    """
+    if len(steps) == 0:
+        return np.zeros((0, 2, 0))
+    across = np.stack([-steps[:, 1], steps[:, 0]], axis=1)
+    return across[:, :, None] * slow_monomials(centres)[:, None, :]
+
+
+def tilts(away_px: FloatArray) -> npt.NDArray[np.float64]:
+    """Return (edges, 2, 2): what turns of the whole by 1 radian about v and about u add to steps.
+
+    away_px: (edges,) by how much the second end of each lies farther.
+    """
+    none = np.zeros_like(away_px)
+    return np.stack([np.stack(mode, axis=1) for mode in ((away_px, none), (none, away_px))], axis=2)
+
+
+def slow_monomials(places: FloatArray) -> npt.NDArray[np.float64]:
+    """Return (m, k) the monomials of places (m, 2) that vary slowly over the figure, by rising degree."""
+    x, y = ((places - places.mean(axis=0)) / np.maximum(places.std(axis=0), 1.0)).T
+    powers = [(degree - j, j) for degree in range(_SLOW_DEGREE + 1) for j in range(degree + 1)]
+    return np.stack([x**i * y**j for i, j in powers], axis=1)
