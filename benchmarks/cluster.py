@@ -26,13 +26,13 @@ from benchmarks.pipeline import footage, options_of, rig_of
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.footage.video import write_video
 from vntoolkit.options.normals import ShadowMethod
-from vntoolkit.pipeline.block_work import ReconstructionJob
 from vntoolkit.pipeline.cluster import connected
 from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.reconstruct import BLOCK_FRAMES, reconstruct
+from vntoolkit.pipeline.request import Request
 
 
-def frames_per_second(job: ReconstructionJob, workers: int, frames: int) -> float:
+def frames_per_second(job: Request, workers: int, frames: int) -> float:
     with connected("local", workers) as client:
         address = client.scheduler.address
         warm = replace(job, folder=ReconstructionFolder(root=job.folder.root / "warm"))
@@ -60,12 +60,11 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         video = Path(name) / "footage.mkv"
         write_video(video, footage(width, height, frames), 60.0)
-        job = ReconstructionJob(
+        job = Request(
             source=str(video),
             rig=rig_of(width, height),
             options=options_of(shadows),
             folder=ReconstructionFolder(root=Path(name) / "out"),
-            threads=1,
         )
         load = os.getloadavg()[0]
         for number in range(arguments.rounds):

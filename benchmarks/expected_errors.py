@@ -58,7 +58,7 @@ def said_and_true(name: str, seed: int, far: bool) -> tuple[FloatArray, FloatArr
     said, true = [], []
     for shot in shots:
         values, truth = shot.stored, shot.truth.normals
-        found = processor.normals(EncodedFrame(values=values, bits=8, number=shot.number, name=name))
+        found = processor.process(EncodedFrame(values=values, bits=8, number=shot.number, name=name))
         both = found.normal_map.mask & truth.mask
         cosine = (found.normal_map.normals_in_camera * truth.normals_in_camera).sum(axis=-1)[both]
         assert found.normal_map.error_deg is not None

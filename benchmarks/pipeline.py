@@ -35,10 +35,10 @@ from vntoolkit.options.normals import ShadowMethod
 from vntoolkit.options.reconstruction import MaterialSearch, Product, ReconstructOptions
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.rig import Rig
-from vntoolkit.pipeline.block_work import ReconstructionJob
-from vntoolkit.pipeline.frame_processor import FrameProcessor
+from vntoolkit.pipeline.frame_processor import Carried, FrameProcessor
 from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.reconstruct import reconstruct
+from vntoolkit.pipeline.request import Request
 
 _LIGHTS = np.array([[-0.35, 0.1, -0.93], [0.25, 0.3, -0.92], [0.05, -0.4, -0.91]])
 _REPEATS = 3
@@ -123,10 +123,10 @@ def milliseconds_in_memory(
 ) -> float:
     """Encoded frame to normals and depth, nothing read or written while the clock runs."""
     processor = FrameProcessor(rig, options_of(shadows), mask, None)
-    spent = []
+    spent, carried = [], Carried()
     for k in range(frames + 2):
         started = time.perf_counter()
-        processor.process(encoded[k % len(encoded)])
+        processor.process(encoded[k % len(encoded)], None, carried)
         spent.append(time.perf_counter() - started)
     return 1000 * statistics.median(spent[2:])  # the first two compile and fill caches
 
@@ -136,7 +136,7 @@ def reconstruct_video(
 ) -> float:
     """Video file to results on disk, by default normals and depth without shadows; return frames a second."""
     info = open_capture(video).info
-    job = ReconstructionJob(
+    job = Request(
         source=video,
         rig=rig_of(info.width, info.height),
         options=options or options_of(),

@@ -19,6 +19,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from recipes.real_objects import CAPTURES, ReferencedCapture, read_capture
 from vntoolkit.evaluation.angular_error import angles_between_deg
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import NormalMap
@@ -31,7 +32,6 @@ from vntoolkit.options.normals import RecoveryMethod, ShadowMethod
 from vntoolkit.options.simulation import Nuisances, SceneOptions
 from vntoolkit.photometry.frame import LinearFrame, count_lit, lit_from_labels
 from vntoolkit.photometry.levelling import Leveller
-from vntoolkit.pipeline.referenced_captures import CAPTURES, ReferencedCapture, read_capture
 from vntoolkit.shadows.detector import ShadowDetector
 from vntoolkit.shadows.recovery import recover_normals, recover_surface
 from vntoolkit.simulation.image_formation import true_response, true_varying_response

@@ -57,7 +57,7 @@ def main(out: Path, frames: str = "0:121:40", size: str = "640x480") -> None:
     angles = {key: errors_deg(out / key[0], result) for key, result in results.items()}
     numbers, rows = [], []
     for scene, plain in IN_ONE_COLOUR.items():
-        found = len(results[scene, "auto"].manifest.materials)
+        found = len(results[scene, "auto"].manifest.known.materials)
         numbers.append(number(f"{scene}: materials found", found, ""))
         one = summarise_angles(angles[plain, "auto"])
         for materials in ("calibrated", "auto"):

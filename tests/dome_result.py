@@ -12,10 +12,10 @@ from vntoolkit.options.normals import ShadowMethod
 from vntoolkit.options.reconstruction import OnError, ReconstructOptions
 from vntoolkit.options.tracking import TrackingOptions
 from vntoolkit.photometry.rig import FitQuality
-from vntoolkit.pipeline.block_work import ReconstructionJob
 from vntoolkit.pipeline.checkerboard import write_checkerboard
 from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.reconstruct import reconstruct
+from vntoolkit.pipeline.request import Request
 from vntoolkit.pipeline.texture import write_texture
 from vntoolkit.pipeline.track import TrackJob, track
 
@@ -37,7 +37,7 @@ def dome_result(tmp_path_factory: pytest.TempPathFactory) -> DomeResult:
     capture = write_dome_capture(footage, count=6)
     write_png(footage / f"f{SKIPPED}.png", np.zeros((48, 64, 3), np.uint16))
     quality = FitQuality(method="sphere", residual_deg=0.4, condition_number=3.1, samples=900, cone_deg=61.0)
-    job = ReconstructionJob(
+    job = Request(
         source=str(footage),
         rig=replace(capture.rig, quality=quality),
         options=ReconstructOptions(shadows=ShadowMethod.ROBUST, on_error=OnError.SKIP),

@@ -21,8 +21,8 @@ from vntoolkit.options.footage import ReadingLimits
 from vntoolkit.options.reconstruction import ReconstructOptions
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.rig import Rig
-from vntoolkit.pipeline.block_work import ReconstructionJob
 from vntoolkit.pipeline.outputs import ReconstructionFolder
+from vntoolkit.pipeline.request import Request
 
 PIXELS, VERTICES = "--max-megapixels", "--max-vertices"
 TRIANGLE = Mesh(vertices=np.eye(3), faces=np.array([[0, 1, 2]], dtype=np.int32))
@@ -63,7 +63,7 @@ def test_a_frame_above_the_limit_is_refused_by_the_flag_that_raises_it(tmp_path,
 def test_worker_processes_keep_to_it_too(tmp_path, footage, rig):
     """They are sent the job, and know nothing of this process's limits."""
     with limited_to(ReadingLimits(max_megapixels=0.001)):
-        job = ReconstructionJob(
+        job = Request(
             source=str(footage),
             rig=read_rig(rig),
             options=ReconstructOptions(),

@@ -6,11 +6,11 @@ import json
 from pathlib import Path
 
 from tests.motion_texts import AMC, ASF, BVH
+from vntoolkit.io.atomic import write_text
 from vntoolkit.io.results.frame_log import FrameEntry, FrameLog
 from vntoolkit.io.results.manifest import InputEntry, Manifest, write_manifest
 from vntoolkit.io.rigs import entry_from_rig, write_rig
 from vntoolkit.photometry.rig import Rig
-from vntoolkit.pipeline.tracked_folder import write_track_record
 
 
 def write_motion(folder: Path) -> list[tuple[str, Path]]:
@@ -40,7 +40,8 @@ def write_texts(folder: Path, rig: Rig) -> list[tuple[str, Path]]:
     for number in range(3):
         log.append(FrameEntry(number=number, seconds=0.01, valid_share=0.5))
     log.close()
-    write_track_record(folder / "track", {"template": 0, "options": {}, "seams": [], "frames": [0, 1, 2]})
+    record = {"version": 1, "template": 0, "options": {}, "seams": [], "frames": [0, 1, 2]}
+    write_text(folder / "track" / "track.json", json.dumps(record, indent=2) + "\n")
     (folder / "seams.json").write_text('{"seams": [[[3, 4], [5.5, 6], [7, 8]], [[1, 2], [2, 3]]]}')
     (folder / "lights.txt").write_text("2\n# x y z r g b\n0.1 0.2 0.9 1 1 1\n-0.1 0.2 0.9 1 0.5 1\n")
     (folder / "diligent").mkdir()

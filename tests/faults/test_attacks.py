@@ -31,17 +31,12 @@ from vntoolkit import (
 from vntoolkit.__main__ import main
 from vntoolkit.calibration.fit import fit_response
 from vntoolkit.errors import BadInput, BadMotion, BadRig, CannotWrite, VntError
-from vntoolkit.io.atomic import (
-    LOCK_NAME,
-    require_writable_folder,
-    sole_writer,
-    undisturbed,
-    write_text,
-)
+from vntoolkit.io.atomic import require_writable_folder, write_text
 from vntoolkit.io.files import parse_json, require_name
 from vntoolkit.io.footage.images import write_png
 from vntoolkit.io.maps_and_meshes.exr import ExrCompression, write_exr
 from vntoolkit.io.motion.bvh import read_bvh
+from vntoolkit.io.results.folder import LOCK_NAME, read_lock, write_lock
 from vntoolkit.io.results.sequences import read_mesh_sequence
 from vntoolkit.io.rigs import rig_from_text
 
@@ -59,8 +54,8 @@ def good(tmp_path_factory) -> Path:
 
 
 def test_a_second_writer_is_told_the_first_ones_process(tmp_path):
-    with sole_writer(tmp_path / "out"):
-        for second in (sole_writer, undisturbed):
+    with write_lock(tmp_path / "out"):
+        for second in (write_lock, read_lock):
             with (
                 pytest.raises(CannotWrite, match=f"process {os.getpid()} on .* is at work there"),
                 second(tmp_path / "out"),
@@ -71,22 +66,22 @@ def test_a_second_writer_is_told_the_first_ones_process(tmp_path):
 
 def test_readers_keep_a_writer_out_and_not_each_other(tmp_path):
     refused = pytest.raises(CannotWrite, match="is at work there")
-    with undisturbed(tmp_path), undisturbed(tmp_path), refused, sole_writer(tmp_path):
+    with read_lock(tmp_path), read_lock(tmp_path), refused, write_lock(tmp_path):
         pass
-    with sole_writer(tmp_path):
+    with write_lock(tmp_path):
         pass
     assert not list(tmp_path.iterdir())
 
 
 def test_the_lock_of_a_killed_run_is_taken_over_and_said_so(tmp_path, caplog):
     code = (
-        "import os; from vntoolkit.io.atomic import sole_writer\n"
-        f"with sole_writer({str(tmp_path)!r}): os.kill(os.getpid(), 9)"
+        "import os; from vntoolkit.io.results.folder import write_lock\n"
+        f"with write_lock({str(tmp_path)!r}): os.kill(os.getpid(), 9)"
     )
     killed = subprocess.run([sys.executable, "-c", code], check=False)
     assert killed.returncode == -9
     assert (tmp_path / LOCK_NAME).exists()
-    with sole_writer(tmp_path):
+    with write_lock(tmp_path):
         assert "was ended before it was done there; taken over" in caplog.text
     assert not (tmp_path / LOCK_NAME).exists()
 
@@ -114,12 +109,12 @@ def test_every_verb_that_writes_a_folder_leaves_a_locked_one_alone(good, tmp_pat
         ],
     }
     out.mkdir()
-    with sole_writer(out):
+    with write_lock(out):
         before = sorted(out.iterdir())
         for arguments in verbs.values():
             assert f"process {os.getpid()}" in fails_in_one_line(arguments, capfd)
         assert sorted(out.iterdir()) == before
-    with sole_writer(tmp_path / "r"):
+    with write_lock(tmp_path / "r"):
         assert f"process {os.getpid()}" in fails_in_one_line(verbs["track"], capfd)
 
 

@@ -8,7 +8,7 @@ from vntoolkit.geometry.garment_fit import fit_similarity
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.rigid import RigidTransform
 from vntoolkit.photometry.frame import LinearFrame
-from vntoolkit.pipeline.block_work import smoothed_over_time
+from vntoolkit.pipeline.smoothing import smoothed_over_time
 
 
 def test_marks_of_clipping_are_booleans() -> None:

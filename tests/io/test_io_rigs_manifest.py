@@ -9,15 +9,15 @@ import pytest
 from vntoolkit.errors import BadInput, BadRig
 from vntoolkit.geometry.camera import Camera, CameraModel
 from vntoolkit.io.files import sha256_of_file, source_file
+from vntoolkit.io.results.folder import begin_run, require_same_request
 from vntoolkit.io.results.frame_log import FrameEntry, FrameLog
 from vntoolkit.io.results.manifest import (
+    RECONSTRUCTION,
     InputEntry,
     Manifest,
-    changes_between,
     hashed,
     library_versions,
     read_manifest,
-    require_resumable,
     write_manifest,
 )
 from vntoolkit.io.rigs import RigFile, entry_from_rig, read_rig, rig_from_text, text_from_rig, write_rig
@@ -167,10 +167,10 @@ def manifest(tmp_path, rig) -> Manifest:
 
 def test_a_manifest_comes_back_and_names_what_changed(tmp_path, manifest, rig):
     out = tmp_path / "out"
-    require_resumable(out, manifest)  # nothing there: nothing to object to
+    assert not require_same_request(out, RECONSTRUCTION, manifest)  # nothing there: nothing to object to
     write_manifest(out, manifest)
     back = read_manifest(out)
-    assert changes_between(back, manifest) == []
+    assert require_same_request(out, RECONSTRUCTION, back)
     assert back.label_legend["5"] == "lit by light 0 and light 2"
     options = {**manifest.options, "smoothness": 0.7}
     (tmp_path / "in.mkv").write_bytes(b"other footage")
@@ -187,15 +187,25 @@ def test_a_manifest_comes_back_and_names_what_changed(tmp_path, manifest, rig):
     with pytest.raises(
         BadInput, match=r"input files.*the rig's colour; smoothness \(0\.5 → 0\.7\); add --overwr"
     ):
-        require_resumable(out, other)
-    require_resumable(out, manifest.model_copy(update={"frames": "0:5:1", "started": "now"}))
+        require_same_request(out, RECONSTRUCTION, other)
+    later = manifest.model_copy(update={"frames": "0:5:1", "started": "now"})
+    assert require_same_request(out, RECONSTRUCTION, later)
+    with pytest.raises(BadInput, match=r"smoothness \(0\.5 → 0\.7\)"):
+        begin_run(out, RECONSTRUCTION, other)
+    assert not begin_run(out, RECONSTRUCTION, other, overwrite=True)
+    assert read_manifest(out).options["smoothness"] == 0.7
 
 
 def test_a_folder_without_a_manifest_is_refused(tmp_path):
     with pytest.raises(BadInput, match=r"holds no reconstruction\.json"):
         read_manifest(tmp_path)
-    (tmp_path / "reconstruction.json").write_text('{"version": 1, "input": 3}')
+    (tmp_path / "reconstruction.json").write_text('{"version": 2, "input": 3}')
     with pytest.raises(BadInput, match="input: expected a JSON object with the keys source"):
+        read_manifest(tmp_path)
+    (tmp_path / "reconstruction.json").write_text('{"version": 1}')
+    with pytest.raises(
+        BadInput, match="of version 1, this program reads 2; reconstruct again, with --overwr"
+    ):
         read_manifest(tmp_path)
 
 

@@ -17,6 +17,6 @@ def test_a_run_measures_blur_and_goes_on_alike(tmp_path, rng, blur_px):
     lights = [np.asarray(filmed(finely(sheet), rng, blur_px).rgb) for _ in range(2)]
     rig = Rig(camera=Camera.orthographic(width=240, height=240), response=LightResponse(matrix=MATRIX))
     first, again = reconstructed_twice(tmp_path, lights, rig)
-    assert first.options["lens.blur_px"] == pytest.approx(blur_px, rel=0.1, abs=0.07)
-    assert again.options["lens.blur_px"] == first.options["lens.blur_px"]
-    assert ("blur" in [finding.check for finding in first.findings]) == (blur_px > 1.5)
+    assert first.known.blur_px == pytest.approx(blur_px, rel=0.1, abs=0.07)
+    assert again.known == first.known
+    assert ("blur" in [finding.check for finding in first.known.findings]) == (blur_px > 1.5)

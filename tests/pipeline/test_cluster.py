@@ -15,14 +15,14 @@ from vntoolkit.io.footage.images import write_png
 from vntoolkit.io.results.frame_log import FrameEntry, FrameLog
 from vntoolkit.options.normals import ShadowMethod
 from vntoolkit.options.reconstruction import Product, ReconstructOptions
-from vntoolkit.pipeline.block_work import ReconstructionJob
 from vntoolkit.pipeline.cluster import connected
 from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.reconstruct import reconstruct
+from vntoolkit.pipeline.request import Request
 
 
-def job_of(capture: DomeCapture, out: Path) -> ReconstructionJob:
-    return ReconstructionJob(
+def job_of(capture: DomeCapture, out: Path) -> Request:
+    return Request(
         source=capture.source,
         rig=capture.rig,
         options=ReconstructOptions(shadows=ShadowMethod.NONE, to=Product.DEPTH),

@@ -8,12 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from recipes.real_objects import read_capture
 from tests.pipeline.test_reconstruct import digest
 from vntoolkit.errors import BadInput
 from vntoolkit.evaluation.angular_error import angles_between_deg
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.io.footage.captures import Capture
 from vntoolkit.io.footage.decoding import EncodedFrame
+from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.footage.images import write_png
 from vntoolkit.io.maps_and_meshes.label_images import read_materials, write_mask
 from vntoolkit.io.maps_and_meshes.maps import read_normal_map
@@ -26,11 +28,11 @@ from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse, with_near_lamps
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline import measured_materials
-from vntoolkit.pipeline.block_work import ReconstructionJob
 from vntoolkit.pipeline.frame_processor import FrameProcessor
 from vntoolkit.pipeline.outputs import ReconstructionFolder
-from vntoolkit.pipeline.reconstruct import _in_one_material, reconstruct
-from vntoolkit.pipeline.referenced_captures import read_capture
+from vntoolkit.pipeline.prepare import in_one_material
+from vntoolkit.pipeline.reconstruct import reconstruct
+from vntoolkit.pipeline.request import Request
 
 DIRECTIONS = np.array([[0.5, 0.0, -0.866], [-0.25, 0.433, -0.866], [-0.25, -0.433, -0.866]])
 COLOURS = np.array([[0.7, 0.1, 0.02], [0.08, 0.6, 0.1], [0.02, 0.12, 0.65]])
@@ -50,9 +52,7 @@ def stripes(number: int) -> np.ndarray:
     return np.broadcast_to((np.arange(SIZE) + number) // 24 % 2, (SIZE, SIZE))
 
 
-def filmed(
-    folder: Path, paints: np.ndarray, frames: int, response: LightResponse = RESPONSE
-) -> ReconstructionJob:
+def filmed(folder: Path, paints: np.ndarray, frames: int, response: LightResponse = RESPONSE) -> Request:
     normals, mask = dome()
     v, u = np.indices(mask.shape)
     lamps = np.linalg.inv(COLOURS.T) @ response.at(np.stack([u, v], axis=-1))[0]
@@ -62,7 +62,7 @@ def filmed(
         noisy = 255 * light + np.random.default_rng(number).normal(0, 0.7, light.shape)
         write_png(folder / f"frame_{number:02d}.png", np.clip(np.round(noisy), 0, 255).astype(np.uint8))
     write_mask(folder / "mask.png", mask)
-    return ReconstructionJob(
+    return Request(
         source=str(folder / "frame_*.png"),
         rig=Rig(camera=Camera.orthographic(width=SIZE, height=SIZE), response=response),
         options=ReconstructOptions(to=Product.NORMALS, shadows=ShadowMethod.NONE),
@@ -71,22 +71,22 @@ def filmed(
     )
 
 
-def into(job: ReconstructionJob, name: str, **options: object) -> ReconstructionJob:
+def into(job: Request, name: str, **options: object) -> Request:
     folder = ReconstructionFolder(root=job.folder.root.parent / name)
     return replace(job, folder=folder, options=replace(job.options, **options))
 
 
 @pytest.fixture(scope="module")
-def striped(tmp_path_factory: pytest.TempPathFactory) -> ReconstructionJob:
+def striped(tmp_path_factory: pytest.TempPathFactory) -> Request:
     job = filmed(tmp_path_factory.mktemp("striped"), PAINTS, FRAMES)
     reconstruct(job)
     return job
 
 
-def test_moving_stripes_leave_no_seam(striped: ReconstructionJob) -> None:
+def test_moving_stripes_leave_no_seam(striped: Request) -> None:
     manifest = read_manifest(striped.folder.root)
     assert manifest.outputs == ["normals", "materials"]
-    values = np.array([entry.reflectance for entry in manifest.materials])
+    values = np.array([entry.reflectance for entry in manifest.known.materials])
     nearest = np.abs(np.log(values[:, None] / PAINTS)).max(axis=2)
     assert nearest.shape == (2, 2)
     assert nearest.min(axis=1).max() < 0.04
@@ -117,29 +117,47 @@ def test_paints_under_near_lamps_are_fitted_again(tmp_path: Path, monkeypatch: p
 
 @pytest.mark.parametrize(("frames", "expected"), [(1, [0]), (2, [0, 1]), (4, [0, 1, 2]), (18, [0, 8, 16])])
 def test_frames_far_apart_are_looked_at_and_decoded_once(
-    striped: ReconstructionJob, monkeypatch: pytest.MonkeyPatch, frames: int, expected: list[int]
+    striped: Request, monkeypatch: pytest.MonkeyPatch, frames: int, expected: list[int]
 ) -> None:
-    capture = striped.open_capture()
-    decoded, read = [], type(capture).encoded
+    footage = striped.open_footage()
+    decoded, read = [], type(footage.capture).encoded
 
     def encoded(self: Capture, number: int) -> EncodedFrame:
         decoded.append(number)
         return read(self, number)
 
     monkeypatch.setattr(Capture, "encoded", encoded)
-    seen = measured_materials.first_frames(striped, capture, striped.open_mattes(capture), range(frames))
+    seen = measured_materials.first_frames(striped.rig, striped.options, footage, range(frames))
     assert [each.name[-6:-4] for each in seen] == [f"{n:02d}" for n in expected]
     assert decoded == expected
 
 
-def test_a_run_goes_on_with_the_materials_that_it_found(striped: ReconstructionJob) -> None:
+def test_a_run_goes_on_with_the_materials_that_it_found(striped: Request) -> None:
     before = digest(striped.folder.root)
     striped.folder.file("materials", 3).unlink()
     assert reconstruct(striped).done == 1
     assert digest(striped.folder.root) == before
 
 
-def test_footage_is_judged_without_the_pigment_of_its_materials(striped: ReconstructionJob) -> None:
+def test_a_first_try_of_frames_changes_no_byte(striped: Request, caplog: pytest.LogCaptureFixture) -> None:
+    """What is found once belongs to all frames that are asked for, in whatever order."""
+    tried = into(striped, "tried")
+    reconstruct(tried, frames=FrameRange(stop=2))
+    few = read_manifest(tried.folder.root).known
+    with caplog.at_level(logging.WARNING):
+        summary = reconstruct(tried)
+    assert (summary.resumed, summary.done) == (0, FRAMES)
+    assert "more frames are asked for than before (0:2:1)" in caplog.text
+    assert "frames 0 to 1 from before are made again" in caplog.text
+    manifest = read_manifest(tried.folder.root)
+    assert manifest.known.materials != few.materials
+    assert "frames 0 to 1 from before are made again" in manifest.findings[0].text
+    assert digest(tried.folder.root) == digest(striped.folder.root)
+    assert reconstruct(tried, frames=FrameRange(stop=2)).resumed == 2  # fewer frames are of the same request
+    assert read_manifest(tried.folder.root).known == manifest.known
+
+
+def test_footage_is_judged_without_the_pigment_of_its_materials(striped: Request) -> None:
     """Where it counted as shape, lengths of normals would be off as under a wrong M."""
     line, skin = np.array([0.22, 0.46, 0.86]), np.array([0.9, 0.65, 0.5])
     normals, mask = dome()
@@ -147,18 +165,18 @@ def test_footage_is_judged_without_the_pigment_of_its_materials(striped: Reconst
     freckles = 0.5 * (np.sin(v / 3) * np.sin(u / 3) > 0.3)
     light = np.maximum(normals @ DIRECTIONS.T, 0) * skin * np.exp(-freckles[..., None] * line)
     frame = LinearFrame((light @ COLOURS * mask[..., None]).astype(np.float32))
-    job = replace(striped, reflectances=(tuple(skin),), pigments=(tuple(line / np.linalg.norm(line)),))
+    processor = FrameProcessor(striped.rig, striped.options, mask)
     off = []
-    for each in (job, replace(job, pigments=((0.0, 0.0, 0.0),))):
-        judged = _in_one_material(each, mask)
-        assert judged is not None
+    for pigment in (tuple(line / np.linalg.norm(line)), None):
+        skins = [MaterialEntry(reflectance=tuple(skin), error_deg=0, residual=0, share=1, pigment=pigment)]
+        judged = in_one_material(processor, striped.rig, skins)
         lengths = np.linalg.norm(judged(frame).rgb[mask] @ np.linalg.inv(RESPONSE.matrix).T, axis=1)
         off.append(np.abs(lengths - 1).mean())
     assert off[0] < 0.6 * off[1]
 
 
 @pytest.mark.slow
-def test_workers_do_not_change_a_byte(striped: ReconstructionJob) -> None:
+def test_workers_do_not_change_a_byte(striped: Request) -> None:
     shared = into(striped, "shared")
     reconstruct(shared, jobs=2)
     assert digest(shared.folder.root) == digest(striped.folder.root)
@@ -172,7 +190,7 @@ def test_gloss_on_photographs_of_one_material_is_no_paint(tmp_path: Path, real_d
     height, width = capture.mask.shape
     write_png(tmp_path / "a.png", np.rint(65535 * capture.frame.rgb.clip(0, 1)).astype(np.uint16))
     write_mask(tmp_path / "mask.png", capture.mask)
-    job = ReconstructionJob(
+    job = Request(
         source=str(tmp_path / "a.png"),
         rig=Rig(
             camera=Camera.orthographic(width=width, height=height),
@@ -183,7 +201,7 @@ def test_gloss_on_photographs_of_one_material_is_no_paint(tmp_path: Path, real_d
         mask=tmp_path / "mask.png",
     )
     reconstruct(job)
-    assert read_manifest(job.folder.root).materials == []
+    assert read_manifest(job.folder.root).known.materials == []
 
 
 def test_the_rigs_own_material_gives_the_bytes_of_calibrated(tmp_path: Path) -> None:
@@ -191,11 +209,11 @@ def test_the_rigs_own_material_gives_the_bytes_of_calibrated(tmp_path: Path) -> 
     reconstruct(job)
     calibrated = into(job, "calibrated", materials=MaterialSearch.CALIBRATED)
     reconstruct(calibrated)
-    assert read_manifest(job.folder.root).materials == []
+    assert read_manifest(job.folder.root).known.materials == []
     assert digest(job.folder.root) == digest(calibrated.folder.root)
 
 
-def test_meshes_have_the_colour_of_their_material(striped: ReconstructionJob) -> None:
+def test_meshes_have_the_colour_of_their_material(striped: Request) -> None:
     job = into(filmed(striped.folder.root.parent, PAINTS, 1), "mesh", to=Product.MESH)
     reconstruct(replace(job, source=str(job.folder.root.parent / "frame_00.png")))
     colours = read_mesh(job.folder.file("mesh", 0)).colours
@@ -204,7 +222,7 @@ def test_meshes_have_the_colour_of_their_material(striped: ReconstructionJob) ->
 
 
 def test_another_material_under_calibrated_is_told(
-    striped: ReconstructionJob, caplog: pytest.LogCaptureFixture
+    striped: Request, caplog: pytest.LogCaptureFixture
 ) -> None:
     job = into(striped, "warned", materials=MaterialSearch.CALIBRATED)
     with caplog.at_level(logging.WARNING):
@@ -230,7 +248,9 @@ def test_a_colour_that_was_not_found_is_told(
         reconstruct(job)
     assert "of the subject is not explained by the 1 found" in caplog.text
     assert told in caplog.text
-    assert len(read_manifest(job.folder.root).materials) == (share < 0.5)
+    kept = [finding.text for finding in read_manifest(job.folder.root).known.findings]
+    assert any("is not explained by the 1 found" in text and told in text for text in kept)
+    assert len(read_manifest(job.folder.root).known.materials) == (share < 0.5)
 
 
 def _only_bright(found: list[Material]) -> list[Material]:
@@ -238,7 +258,7 @@ def _only_bright(found: list[Material]) -> list[Material]:
     return [material for material in found if material.reflectance.values[0] > 0.6]
 
 
-def test_a_number_is_refused_where_the_lamps_colours_are_not_known(striped: ReconstructionJob) -> None:
+def test_a_number_is_refused_where_the_lamps_colours_are_not_known(striped: Request) -> None:
     job = into(striped, "refused", materials=2)
     rig = replace(job.rig, response=LightResponse(matrix=RESPONSE.matrix))
     with pytest.raises(BadInput, match="does not hold the colours of its lamps"):
@@ -256,7 +276,7 @@ def test_dark_hair_belongs_to_the_subject_and_the_backdrops_noise_does_not() -> 
     noise = np.random.default_rng(0).normal(0, 0.7 / 255, light.shape)
     camera = Camera.orthographic(width=SIZE, height=SIZE)
     options = ReconstructOptions(to=Product.NORMALS)
-    processor = FrameProcessor(Rig(camera=camera, response=RESPONSE), options, reflectances=[[1, 1, 1]])
+    processor = FrameProcessor(Rig(camera=camera, response=RESPONSE), options)
     subject = processor.lit_subject(LinearFrame((light + noise).astype(np.float32)))
     assert subject[hair].mean() > 0.95  # by the brightest channel 0.82
     assert subject[mask & ~hair].all()

@@ -4,7 +4,7 @@ import threading
 
 import pytest
 
-from vntoolkit.pipeline.block_work import WriteBehind, read_ahead
+from vntoolkit.pipeline.threads import WriteBehind, read_ahead
 
 
 @pytest.mark.parametrize("depth", [0, 1, 3])

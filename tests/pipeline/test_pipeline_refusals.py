@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from recipes.real_objects import read_capture
 from tests.dome_result import DomeResult, dome_result
 from tests.pipeline.conftest import SIZE, DomeCapture
 from tests.result_files import write_mesh_sequence
@@ -22,7 +23,6 @@ from vntoolkit.options.calibration import LightColours, PressOptions
 from vntoolkit.options.reconstruction import ReconstructOptions
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline import simulate
-from vntoolkit.pipeline.block_work import ReconstructionJob
 from vntoolkit.pipeline.calibrate import CalibrationJob, calibrate_lights, mean_frame
 from vntoolkit.pipeline.calibrate_presses import PressJob, calibrate_presses
 from vntoolkit.pipeline.dress import dress
@@ -37,7 +37,7 @@ from vntoolkit.pipeline.evaluate import (
 from vntoolkit.pipeline.opened_result import open_result
 from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.reconstruct import reconstruct
-from vntoolkit.pipeline.referenced_captures import read_capture
+from vntoolkit.pipeline.request import Request
 from vntoolkit.pipeline.simulate import SimulationFolder, SimulationJob
 from vntoolkit.pipeline.tracked_folder import read_track_record, recorded_camera
 from vntoolkit.pipeline.truth_comparison import compare_with_truth
@@ -216,7 +216,7 @@ def test_rectified_images_are_not_mixed_with_others(
 
 def test_a_first_frame_that_shows_nothing_is_named(tmp_path: Path, dome_capture: DomeCapture) -> None:
     write_png(tmp_path / "dark.png", np.zeros((*SIZE, 3), np.uint8))
-    job = ReconstructionJob(
+    job = Request(
         source=str(tmp_path / "dark.png"),
         rig=dome_capture.rig,
         options=ReconstructOptions(),
@@ -231,7 +231,9 @@ def test_simulations_of_what_cannot_be_filmed(tmp_path: Path) -> None:
     with pytest.raises(BadInput, match="jobs: expected at least 1 process, got 0"):
         simulate.simulate(job, jobs=0)
     (tmp_path / "capture.mkv").write_bytes(b"0")
-    with pytest.raises(BadInput, match=r"holds a capture\.mkv already; choose another folder"):
+    with pytest.raises(
+        BadInput, match=r"holds capture\.mkv, which `vntoolkit simulate` did not write; choose"
+    ):
         simulate.simulate(job)
     (tmp_path / "simulation.json").write_bytes(b"\xff\xfe")
     with pytest.raises(BadInput, match=r"simulation\.json: expected text in UTF-8; byte 0 is no text"):

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from vntoolkit.errors import BadInput, VntError
-from vntoolkit.pipeline.processes import processes_kept, shared_out
+from vntoolkit.pipeline.processes import map_in_processes, processes_kept
 
 Work = Callable[[int], list[int]]
 
@@ -33,7 +33,7 @@ def _begin_slowly(threads: int | None) -> Work:
 
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_results_do_not_depend_on_the_processes(jobs: int) -> None:
-    assert sorted(shared_out(_begin, [1, 2, 3], jobs)) == [1, 2, 3, 10, 20, 30]
+    assert sorted(map_in_processes(_begin, [1, 2, 3], jobs)) == [1, 2, 3, 10, 20, 30]
 
 
 def test_items_are_made_while_earlier_ones_are_worked_on() -> None:
@@ -44,7 +44,7 @@ def test_items_are_made_while_earlier_ones_are_worked_on() -> None:
             made.append(item)
             yield item
 
-    results = shared_out(_begin_slowly, items(), 2)
+    results = map_in_processes(_begin_slowly, items(), 2)
     first = next(results)
     assert len(made) < 10
     assert sorted([first, *results]) == list(range(40))
@@ -52,12 +52,12 @@ def test_items_are_made_while_earlier_ones_are_worked_on() -> None:
 
 def test_what_the_work_raises_is_raised() -> None:
     with pytest.raises(BadInput, match="item -1"):
-        list(shared_out(_begin, [1, -1, 2], 2))
+        list(map_in_processes(_begin, [1, -1, 2], 2))
 
 
 def test_a_worker_that_dies_is_named() -> None:
     with pytest.raises(VntError, match=r"ended abruptly .* run the same command again, with fewer --jobs"):
-        list(shared_out(_begin, [1, 9], 2))
+        list(map_in_processes(_begin, [1, 9], 2))
 
 
 def _process(threads: int | None) -> Callable[[int], list[tuple[int, int | None]]]:
@@ -66,10 +66,10 @@ def _process(threads: int | None) -> Callable[[int], list[tuple[int, int | None]
 
 def test_processes_are_kept_only_where_that_is_asked_for() -> None:
     with processes_kept():
-        first = {process for process, _ in shared_out(_process, range(20), 2)}
-        assert sorted(shared_out(_begin, [1, 2, 3], 2)) == [1, 2, 3, 10, 20, 30]
-        again = {process for process, _ in shared_out(_process, range(20), 2)}
-    afterwards = {process for process, _ in shared_out(_process, range(20), 2)}
+        first = {process for process, _ in map_in_processes(_process, range(20), 2)}
+        assert sorted(map_in_processes(_begin, [1, 2, 3], 2)) == [1, 2, 3, 10, 20, 30]
+        again = {process for process, _ in map_in_processes(_process, range(20), 2)}
+    afterwards = {process for process, _ in map_in_processes(_process, range(20), 2)}
     assert len(first | again) <= 2  # one of the two may have done all
     assert os.getpid() not in first
     assert not afterwards & (first | again)
@@ -78,5 +78,5 @@ def test_processes_are_kept_only_where_that_is_asked_for() -> None:
 def test_processes_are_not_kept_after_a_failure() -> None:
     with processes_kept():
         with pytest.raises(VntError, match="ended abruptly"):
-            list(shared_out(_begin, [1, 9], 2))
-        assert sorted(shared_out(_begin, [1, 2], 2)) == [1, 2, 10, 20]
+            list(map_in_processes(_begin, [1, 9], 2))
+        assert sorted(map_in_processes(_begin, [1, 2], 2)) == [1, 2, 10, 20]

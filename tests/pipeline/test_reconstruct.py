@@ -2,6 +2,7 @@
 
 import hashlib
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -22,14 +23,14 @@ from vntoolkit.io.results.manifest import read_manifest
 from vntoolkit.options.normals import ShadowMethod
 from vntoolkit.options.reconstruction import OnError, Product, ReconstructOptions
 from vntoolkit.photometry.rig import FitQuality
-from vntoolkit.pipeline.block_work import ReconstructionJob
-from vntoolkit.pipeline.frame_processor import FrameProcessor
+from vntoolkit.pipeline.frame_processor import Carried, FrameProcessor
 from vntoolkit.pipeline.outputs import ReconstructionFolder
-from vntoolkit.pipeline.reconstruct import reconstruct
+from vntoolkit.pipeline.reconstruct import blocks_of, reconstruct
+from vntoolkit.pipeline.request import Request
 
 
-def job_of(capture: DomeCapture, out: Path, **options: object) -> ReconstructionJob:
-    return ReconstructionJob(
+def job_of(capture: DomeCapture, out: Path, **options: object) -> Request:
+    return Request(
         source=capture.source,
         rig=capture.rig,
         options=ReconstructOptions(**{"shadows": ShadowMethod.NONE, **options}),
@@ -54,7 +55,7 @@ def whole_run(dome_capture: DomeCapture, tmp_path_factory: pytest.TempPathFactor
 def test_a_frame_of_another_size_than_the_rigs_is_refused(dome_capture: DomeCapture, shadows) -> None:
     processor = FrameProcessor(dome_capture.rig, ReconstructOptions(shadows=shadows))
     frame = EncodedFrame(values=np.zeros((50, 64, 3), np.uint8), bits=8, number=0, name="a.png")
-    for work in (processor.process, processor.refer_to):
+    for work in (processor.process, partial(processor.set_reference, Carried())):
         with pytest.raises(BadInput, match=r"a\.png: expected shape 48 × 64 × 3, got 50 × 64 × 3"):
             work(frame)
 
@@ -79,7 +80,7 @@ def test_the_manifest_tells_what_was_done(dome_capture: DomeCapture, whole_run: 
     manifest = read_manifest(whole_run)
     assert manifest.outputs == ["normals", "depth", "mesh"]
     assert manifest.input.frame_count == len(dome_capture.normals) == len(manifest.input.files)
-    assert manifest.options["inversion.relative_albedo"] == pytest.approx(1, abs=0.01)
+    assert manifest.known.relative_albedo == pytest.approx(1, abs=0.01)
     assert manifest.finished
 
 
@@ -108,6 +109,12 @@ def test_an_interrupted_run_goes_on_and_ends_the_same(
     assert summary.resumed >= stop_after
     assert summary.resumed + summary.done == 20
     assert digest(tmp_path) == digest(whole_run)
+
+
+def test_blocks_are_of_consecutive_frames() -> None:
+    assert blocks_of(range(3, 40, 2)) == [range(3, 34, 2), range(35, 40, 2)]
+    assert blocks_of(range(17)) == [range(16), range(16, 17)]
+    assert blocks_of([0, 1, 2, 6, 8, 10]) == [range(3), range(6, 11, 2)]
 
 
 def test_a_deleted_result_is_made_again(dome_capture: DomeCapture, whole_run: Path, tmp_path: Path) -> None:
@@ -198,6 +205,7 @@ def test_or_it_is_skipped_and_named(capture_with_black_frame: DomeCapture, tmp_p
     assert not (out / "normals/000002.exr").exists()
     entries = FrameLog(out).entries()
     assert "no usable pixel" in entries[2].failure
+    assert [finding.frame for finding in read_manifest(out).findings] == [2]
     assert entries[3].valid_share == pytest.approx(capture_with_black_frame.masks[3].mean(), abs=1e-5)
 
 
@@ -217,6 +225,8 @@ def test_the_run_tells_the_expected_error_and_warns_where_it_is_large(
     assert summary.error_deg is not None
     assert summary.error_deg > 20
     assert [r.message for r in caplog.records if "half of the normals may be off by more than" in r.message]
+    kept = read_manifest(tmp_path / "bad").findings
+    assert any("half of the normals may be off by more than" in finding.text for finding in kept)
 
 
 def test_refusals(dome_capture: DomeCapture, tmp_path: Path) -> None:

@@ -8,10 +8,12 @@ import pytest
 
 from tests.dome_result import DomeResult, dome_result
 from tests.pipeline.conftest import DomeCapture
+from vntoolkit.__main__ import main
 from vntoolkit.errors import BadCapture, BadInput, CannotWrite
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import LengthUnit
 from vntoolkit.io.footage.frame_range import FrameRange
+from vntoolkit.io.results.sequences import MeshSequenceWriter, read_mesh_sequence
 from vntoolkit.live.page import LiveViewer
 from vntoolkit.options.export import ExportedSurface, ExportFormat, ExportOptions
 from vntoolkit.options.pages import ViewerOptions
@@ -49,6 +51,46 @@ def test_tracks_of_an_earlier_reconstruction_are_left_out(
     assert f"run `vntoolkit track {result} --overwrite`" in caplog.text
     with pytest.raises(BadInput, match="holds no tracked surface; run `vntoolkit track` first"):
         exported(result, ExportFormat.PLY, mesh=ExportedSurface.TRACKED)
+
+
+def test_every_verb_says_that_recorded_frames_are_gone(
+    result: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    (result / "normals/000001.exr").unlink()
+    (result / "normals/000002.exr").unlink()
+    (result / "depth/000005.exr").unlink()
+    verbs = [
+        ["track", str(result), "--out", str(tmp_path / "t")],
+        ["export", str(result), "--to", "png"],
+        ["view", str(result), "--html", str(tmp_path / "v.html"), "--frames", "0:5"],
+        ["report", str(result)],
+        ["evaluate", "cylinder", str(result), "--out", str(tmp_path / "e")],
+    ]
+    for arguments in verbs:
+        caplog.clear()
+        main(arguments)
+        said = caplog.text
+        assert said.count("frames 1 to 2 are recorded as done, but files in normals are gone") == 1, arguments
+        assert said.count("frame 5 is recorded as done, but files in depth are gone") == (
+            arguments[0] != "view"
+        )
+        assert "run `vntoolkit reconstruct` again: it makes what is missing" in said
+    (result / "frames.log").unlink()
+    main(verbs[1])
+    assert "incomplete: frames.log is gone" in caplog.text
+
+
+def test_tracks_that_end_early_are_said_to_be_incomplete(
+    result: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    with MeshSequenceWriter(
+        result / "track", read_mesh_sequence(result / "track").template, resume=True
+    ) as writer:
+        writer.truncate(4)
+    for arguments in (["export", str(result), "--to", "glb"], ["report", str(result)]):
+        caplog.clear()
+        assert main(arguments) == 0
+        assert caplog.text.count("track: incomplete, holds 4 of 6 frames; run") == 1
 
 
 def test_a_result_whose_footage_is_another(result: Path, dome_capture: DomeCapture) -> None:

@@ -7,7 +7,7 @@ import threading
 import pytest
 
 from vntoolkit.errors import BadCapture
-from vntoolkit.pipeline.block_work import side_by_side
+from vntoolkit.pipeline.threads import side_by_side
 
 
 @pytest.mark.parametrize("lanes", [1, 2, 3])

@@ -114,7 +114,7 @@ def test_another_capture_in_the_folder_is_kept_unless_told(tmp_path):
     frames = FrameRange.from_text("0")
     simulate(job_in(tmp_path, frames=frames))
     other = job_in(tmp_path, frames=frames, nuisances=Nuisances(bits=12, transfer="srgb"))
-    with pytest.raises(BadInput, match="made with other options"):
+    with pytest.raises(BadInput, match="holds a capture made differently: "):
         simulate(other)
     (tmp_path / "truth/mine.txt").write_text("")
     simulate(other, overwrite=True)
@@ -145,7 +145,7 @@ def test_a_motion_file_moves_the_mesh_or_is_refused(tmp_path):
     assert flow[depth.mask] == pytest.approx(np.stack([expected, 0 * expected], axis=1), abs=1e-3)
     assert not (tmp_path / "out/truth/poses.json").exists()
     np.save(tmp_path / "m.npy", np.stack([still, still]).astype(np.float32))
-    with pytest.raises(BadInput, match="made with other options"):  # of the same name
+    with pytest.raises(BadInput, match="holds a capture made differently: "):  # of the same name
         simulate(job_in(tmp_path / "out", scene="sphere", motion=tmp_path / "m.npy", frames=FrameRange()))
     np.save(tmp_path / "m.npy", np.zeros((2, 7, 3), np.float32))
     with pytest.raises(BadMesh, match="another topology"):

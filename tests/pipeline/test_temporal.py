@@ -19,9 +19,10 @@ from vntoolkit.options.normals import ShadowMethod
 from vntoolkit.options.reconstruction import DepthOffset, Product, ReconstructOptions
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import rgb_from_normals
-from vntoolkit.pipeline.block_work import ReconstructionJob, smoothed_frames, smoothed_over_time
 from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.reconstruct import reconstruct
+from vntoolkit.pipeline.request import Request
+from vntoolkit.pipeline.smoothing import smoothed_frames, smoothed_over_time
 
 
 def noisy_depths(rng, sigma: float, count: int, arm_from: int | None = None) -> list[DepthMap]:
@@ -109,8 +110,8 @@ def digest(folder: Path) -> str:
     return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()
 
 
-def job_of(capture: DomeCapture, out: Path, **options: object) -> ReconstructionJob:
-    return ReconstructionJob(
+def job_of(capture: DomeCapture, out: Path, **options: object) -> Request:
+    return Request(
         source=capture.source,
         rig=capture.rig,
         options=ReconstructOptions(shadows=ShadowMethod.NONE, to=Product.DEPTH, **options),
@@ -132,7 +133,7 @@ def test_smoothed_frames_do_not_depend_on_the_blocks(dome_capture: DomeCapture, 
     reconstruct(job_of(dome_capture, one, smoothing=0.02))
     reconstruct(job_of(dome_capture, two, smoothing=0.02), jobs=2)
     assert digest(one) == digest(two)
-    assert read_manifest(one).options["reference_frame"] == 0
+    assert read_manifest(one).known.reference_frame == 0
 
 
 def test_the_reference_stays_when_a_run_goes_further(dome_capture: DomeCapture, tmp_path: Path) -> None:

@@ -16,9 +16,10 @@ from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap
 from vntoolkit.io.results.manifest import FindingEntry, read_manifest, write_manifest
 from vntoolkit.options.pages import ReportOptions
+from vntoolkit.pipeline.opened_result import open_result
 from vntoolkit.report.page import PageSection, PageTable, figure_from_file, figure_from_plot
 from vntoolkit.report.pictures import new_figure, normals_from_depth, picture_of_depth
-from vntoolkit.report.report import write_report
+from vntoolkit.report.report import content_of_report, write_report
 
 SCRIPT = "<script>alert(1)</script>"
 
@@ -40,7 +41,7 @@ def test_every_part_is_there(page: Path) -> None:
     for part in ("Sample frames", "Compared with the truth", "0.40°", "61°", "no usable pixel",
                  "Registered surface", "mean error"):  # fmt: skip
         assert part in text
-    assert f"the first is {SKIPPED}" in text
+    assert f"frame {SKIPPED}: skipped: " in text
     assert f"frame {SKIPPED} (f{SKIPPED})" in text  # stills keep their names
     assert text.count("data:image/webp;base64,") == 1  # the sample frames, in rows
     assert text.count("data:image/jpeg;base64,") == 1  # the checkerboard
@@ -118,11 +119,17 @@ def test_it_does_without_footage_and_tracks(
 def test_it_repeats_what_the_run_found(dome_result: DomeResult, tmp_path: Path) -> None:
     folder = shutil.copytree(dome_result.folder, tmp_path / "warned")
     manifest = read_manifest(folder)
-    finding = FindingEntry(check="clipping", level="warning", text="7.5% of the pixels are clipped")
-    write_manifest(folder, manifest.model_copy(update={"findings": [finding]}))
-    assert "7.5% of the pixels are clipped" in write_report(folder).read_text()
-    write_manifest(folder, manifest.model_copy(update={"findings": None}))
-    assert "kept no findings; `vntoolkit doctor` looks anew" in write_report(folder).read_text()
+    clipped = FindingEntry(check="clipping", level="note", text="7.5% of the pixels are clipped")
+    worse = FindingEntry(check="reconstruct", level="warning", text="half of the normals may be off", frame=2)
+    known = manifest.known.model_copy(update={"findings": [clipped]})
+    write_manifest(folder, manifest.model_copy(update={"known": known, "findings": [worse]}))
+    page = write_report(folder).read_text()
+    first = [page.index(finding.text) for finding in (worse, clipped)]
+    assert first == sorted(first)
+    assert first[1] < page.index("<h2>Sample frames")
+    found = content_of_report(open_result(folder))["findings"]
+    assert [finding["text"] for finding in found] == [worse.text, clipped.text]
+    assert found[0]["frame"] == 2
 
 
 def test_refusals(tmp_path: Path) -> None:

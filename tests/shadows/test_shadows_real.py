@@ -4,10 +4,10 @@ from pathlib import Path
 
 import pytest
 
+from recipes.real_objects import read_capture
 from vntoolkit.evaluation.angular_error import angles_between_deg
 from vntoolkit.options.normals import RecoveryMethod
 from vntoolkit.photometry.frame import count_lit
-from vntoolkit.pipeline.referenced_captures import read_capture
 from vntoolkit.shadows.detector import ShadowDetector
 from vntoolkit.shadows.recovery import recover_normals
 

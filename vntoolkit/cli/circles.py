@@ -12,7 +12,7 @@ from vntoolkit.cli.given import curve_from_text, rectification_from_corners
 from vntoolkit.cli.output import ProgressBars, print_next
 from vntoolkit.cli.verb import command, verb
 from vntoolkit.errors import BadInput
-from vntoolkit.io.atomic import sole_writer
+from vntoolkit.io.results.folder import write_lock
 from vntoolkit.options.base import File, Source
 from vntoolkit.options.footage import ReadingLimits, SensorOptions
 from vntoolkit.options.pages import ViewerOptions
@@ -53,7 +53,7 @@ def _found(asked: CirclesArguments) -> Iterator[PressCircles]:
         sensor=asked.part(SensorOptions),
         rectification=rectification_from_corners(asked.corners, asked.size_mm, asked.pixel_mm or 1.0),
     )
-    with sole_writer(Path(asked.out)):
+    with write_lock(Path(asked.out)):
         with ProgressBars() as bars:
             found = PressCircles(job, partial(bars.reach, "read presses"))
         yield found

@@ -8,8 +8,8 @@ from typing import ClassVar
 
 from vntoolkit.cli.output import MESH, ProgressBars, print_next_program, require_output
 from vntoolkit.cli.verb import command, verb
-from vntoolkit.io.atomic import sole_writer, undisturbed
 from vntoolkit.io.motion.garment_fits import read_garment_fit
+from vntoolkit.io.results.folder import read_lock, write_lock
 from vntoolkit.options.base import File, OptionalFile, named
 from vntoolkit.options.dressing import ClockOptions, DressOptions, GarmentFitOptions, WeightOptions
 from vntoolkit.options.footage import ReadingLimits
@@ -57,8 +57,8 @@ def _dressed(asked: DressArguments) -> tuple[DressedFigure, DressSummary]:
     folder, out = Path(asked.folder), Path(asked.out)
     require_figure_name(out)
     require_output(out)
-    alone = sole_writer(out.parent) if out.suffix.lower() in MESH else contextlib.nullcontext()
-    with undisturbed(folder), alone:
+    alone = write_lock(out.parent) if out.suffix.lower() in MESH else contextlib.nullcontext()
+    with read_lock(folder), alone:
         dressed = dressed_figure(
             read_tracked_cloth(folder),
             read_motion(Path(asked.motion), asked.skeleton),

@@ -18,9 +18,9 @@ from vntoolkit.evaluation.angular_error import AngularError
 from vntoolkit.evaluation.track_error import TrackError
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.point_cloud import PointCloud
-from vntoolkit.io.atomic import sole_writer
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.maps_and_meshes.meshes import read_mesh
+from vntoolkit.io.results.folder import write_lock
 from vntoolkit.options.base import File, Named, OptionalFile, Options, as_path, named
 from vntoolkit.options.evaluation import Alignment, AlignmentOptions, MeasuredBy, MeasuredByName
 from vntoolkit.options.export import NormalConvention, NormalConventionName
@@ -67,7 +67,7 @@ class NormalsArguments(_Written, ReadingLimits):
 def _normals(asked: NormalsArguments) -> evaluate.NormalsComparison:
     measured, reference, out = Path(asked.measured), Path(asked.reference), Path(asked.out)
     require_output(out / "normals.json")
-    with sole_writer(out):
+    with write_lock(out):
         pairs = evaluate.pairs_of(measured, reference)
         with progress_bar("normals", len(pairs)) as advance:
             found = evaluate.compare_normal_files(
@@ -141,7 +141,7 @@ def _mesh(asked: MeshArguments) -> MeshEvaluation:
     mesh, out = Path(asked.mesh), Path(asked.out)
     reference = as_path(asked.reference)
     require_output(out / "mesh.json")
-    with sole_writer(out):
+    with write_lock(out):
         measured = _read(mesh)
         if reference is None and not isinstance(measured, Mesh):
             raise BadMesh(f"{mesh}: expected a surface, got {len(measured.points)} vertices and no face")
@@ -272,7 +272,7 @@ class CylinderArguments(_Written, FrameOptions, MovedFootageOptions, ReadingLimi
 def _cylinder(asked: CylinderArguments) -> evaluate.CylinderEvaluation:
     out = Path(asked.out)
     require_output(out / "cylinder.json")
-    with sole_writer(out):
+    with write_lock(out):
         frames = FrameRange.from_text(asked.frames or "::")
         result = open_result(Path(asked.folder), frames=frames, footage=asked.footage)
         with progress_bar("cylinder", 2 * len(result.numbers)) as advance:
@@ -363,7 +363,7 @@ def _tracks(asked: TracksArguments) -> dict[str, list[TrackError]]:
     for name, each in folders.items():
         target = each / "track" if (each / "track").is_dir() else each
         results[name] = evaluate.evaluate_tracks(target, Path(asked.truth), asked.every, asked.lost_px)
-    with sole_writer(out):
+    with write_lock(out):
         for name, errors in results.items():
             evaluate.write_track_errors(tables[name], errors)
         figures.write_error_plot(out / "tracks.png", results)
@@ -432,7 +432,7 @@ class IntegrationEvaluation:
 def _integration(asked: IntegrationArguments) -> IntegrationEvaluation:
     out = Path(asked.out)
     require_output(out / "integration.json")
-    with sole_writer(out):
+    with write_lock(out):
         objects = [] if asked.data is None else evaluate.objects_in(asked.data)
         cases = evaluate.surface_cases(asked.size)
         rows, curves, last = [], {}, None

@@ -28,11 +28,11 @@ from vntoolkit.options.shared import (
 )
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import Transfer
-from vntoolkit.pipeline.block_work import ReconstructionJob
 from vntoolkit.pipeline.opened_result import OpenedResult, open_result
 from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.reconstruct import ReconstructionSummary
 from vntoolkit.pipeline.reconstruct import reconstruct as run
+from vntoolkit.pipeline.request import Request
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,11 +60,11 @@ class RunArguments(
         """The frames."""
         return FrameRange.from_text(self.frames or "::")
 
-    def job(self, source: str, rig: Rig, folder: Path, mask: Path | None, **more: Any) -> ReconstructionJob:
+    def job(self, source: str, rig: Rig, folder: Path, mask: Path | None, **more: Any) -> Request:
         """Return the reconstruction of a capture; more: further fields of it."""
         require_known_checks(self.allow, CHECK_NAMES)
         given: dict[str, Any] = {"allow": self.allow, "gaps": self.gaps, **more}
-        return ReconstructionJob(
+        return Request(
             source=source,
             rig=rig,
             folder=ReconstructionFolder(root=folder),

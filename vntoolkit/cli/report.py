@@ -1,5 +1,6 @@
 """`vntoolkit report`: write an HTML page on the quality of a reconstruction."""
 
+import json
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -9,6 +10,7 @@ from vntoolkit.io.results.manifest import read_manifest
 from vntoolkit.options.base import File, OptionalFile, named
 from vntoolkit.options.footage import ReadingLimits
 from vntoolkit.options.pages import ReportOptions
+from vntoolkit.pipeline.opened_result import open_result
 from vntoolkit.report import report as pages
 
 
@@ -20,6 +22,8 @@ class ReportArguments(ReportOptions, ReadingLimits):
     """The folder that `vntoolkit reconstruct` wrote."""
     out: OptionalFile = named(None)
     """The page to write; default FOLDER/report.html."""
+    json: bool = False
+    """Print findings, frames and options as JSON instead of writing a page. In Python the page is written."""
 
 
 def _written(asked: ReportArguments) -> Path:
@@ -36,8 +40,11 @@ def write_report(asked: ReportArguments) -> Path:
 @command(write_report)
 def report(asked: ReportArguments) -> None:
     """Print the page's name and what comes next."""
-    print(_written(asked))
     folder = Path(asked.folder)
+    if asked.json:
+        print(json.dumps(pages.content_of_report(open_result(folder)), indent=1))
+        return
+    print(_written(asked))
     if (folder / "track").is_dir():
         print_next("export", folder, "--to", "usd")
     elif (folder / "depth").is_dir() and read_manifest(folder).input.frame_count > 1:

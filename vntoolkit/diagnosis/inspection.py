@@ -309,7 +309,7 @@ def findings_from_capture(
     capture: Capture,
     rig: Rig | None,
     mask: Mask | None = None,
-    numbers: range | None = None,
+    numbers: Sequence[int] | None = None,
     in_one_material: Callable[[LinearFrame], LinearFrame] | None = None,
 ) -> list[Finding]:
     """Return the findings of `examine_capture`."""
@@ -320,7 +320,7 @@ def examine_capture(
     capture: Capture,
     rig: Rig | None,
     mask: Mask | None = None,
-    numbers: range | None = None,
+    numbers: Sequence[int] | None = None,
     in_one_material: Callable[[LinearFrame], LinearFrame] | None = None,
 ) -> Examination:
     """Check a capture: clipping and drift, and with a rig all that `checks` lists, and how near lamps are.
@@ -443,7 +443,7 @@ def findings_from_calibration_footage(
 
 
 def _frames_to_judge(
-    capture: Capture, numbers: range | None, in_a_row: int = 0
+    capture: Capture, numbers: Sequence[int] | None, in_a_row: int = 0
 ) -> tuple[list[LinearFrame], list[LinearFrame]]:
     """Read a few frames from all over, and the first ones in a row, averaged down, in one pass."""
     numbers = numbers or range(len(capture))
@@ -473,7 +473,7 @@ def _other_size(width: int, height: int, rig: Rig) -> Finding:
     )
 
 
-def frames_to_compare(capture: Capture, numbers: range) -> list[int]:
+def frames_to_compare(capture: Capture, numbers: Sequence[int]) -> list[int]:
     """Return a few numbers, evenly spread, moved to key frames nearby, which are quick to reach."""
     first, last = numbers[0], numbers[-1]
     within = (last - first) // (2 * (_FRAMES_COMPARED - 1))

@@ -1,14 +1,11 @@
-"""Atomic writing: a temporary name, then a rename; and a lock, so that one run at a time writes a folder."""
+"""Atomic writing: a temporary name, then a rename."""
 
 import contextlib
 import errno
 import hashlib
-import logging
 import os
 import re
-import socket
-import sys
-from collections.abc import Callable, Container, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +14,8 @@ import numpy as np
 from vntoolkit.arrays import ByteArray
 from vntoolkit.errors import BadInput, CannotWrite
 
-LOCK_NAME = ".vntoolkit.lock"
 _TEMPORARY = re.compile(r"\..*\.([0-9]{1,9})\.part(?:\..*)?|\.probe\.([0-9]{1,9})")
 _LONGEST_NAME = 255  # bytes, of every common file system
-_LOGGER = logging.getLogger(__name__)
 
 
 @contextlib.contextmanager
@@ -126,93 +121,6 @@ def cannot_write(path: Path | str, error: OSError) -> CannotWrite:
     return CannotWrite(f"cannot write {path}: {reason.lower()}; {advice}")
 
 
-# One run at a time: a lock that the system takes back from a process that has ended, however it ended.
-
-
-@contextlib.contextmanager
-def sole_writer(folder: Path | str) -> Iterator[Path]:
-    """Make `folder`, prove that it can be written to, and keep other runs out of it while the block runs.
-
-    Raises `CannotWrite` that names the process at work there. The lock of a run that was killed is taken over
-    and said so. Folders that the block leaves empty are removed again, if they were made here.
-    """
-    folder = Path(folder)
-    made = [each for each in (folder, *folder.parents) if not os.path.lexists(each)]
-    try:
-        with _locked(require_writable_folder(folder), exclusive=True):
-            yield folder
-    finally:
-        with contextlib.suppress(OSError):
-            for each in made:
-                each.rmdir()
-
-
-@contextlib.contextmanager
-def undisturbed(folder: Path | str) -> Iterator[None]:
-    """Keep runs from writing into a folder while the block reads it; any number may read.
-
-    A folder that this process may not write to is not locked. Raises `CannotWrite` as `sole_writer` does.
-    """
-    folder = Path(folder)
-    if not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
-        yield
-        return
-    with _locked(folder, exclusive=False):
-        yield
-
-
-@contextlib.contextmanager
-def _locked(folder: Path, *, exclusive: bool) -> Iterator[None]:
-    if sys.platform == "win32":  # no flock
-        yield
-        return
-    import fcntl
-
-    kind = (fcntl.LOCK_EX if exclusive else fcntl.LOCK_SH) | fcntl.LOCK_NB
-    path = folder / LOCK_NAME
-    while True:
-        try:
-            lock = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o666)
-        except OSError as error:
-            raise cannot_write(folder, error) from error
-        try:
-            fcntl.flock(lock, kind)
-        except BlockingIOError as error:
-            holder = _holder(lock)
-            os.close(lock)
-            raise CannotWrite(
-                f"{folder}: process {holder or 'of another run'} is at work there; wait until it has ended, "
-                "or choose another folder"
-            ) from error
-        except OSError as error:  # a network folder without locks
-            _LOGGER.warning(
-                "%s: cannot be locked (%s): start no second run there", folder, (error.strerror or "").lower()
-            )
-        with contextlib.suppress(OSError):
-            if os.path.samestat(os.fstat(lock), path.stat()):
-                break
-        os.close(lock)  # the run before removed it between the two calls
-    try:
-        earlier = _holder(lock)
-        if earlier and exclusive:
-            _LOGGER.warning("%s: process %s was ended before it was done there; taken over", folder, earlier)
-        with contextlib.suppress(OSError):  # of a full disk: what is written there will tell
-            os.ftruncate(lock, 0)
-            os.pwrite(lock, f"{os.getpid()} on {socket.gethostname()}".encode(), 0)
-        yield
-    finally:
-        with contextlib.suppress(OSError):  # other readers keep it
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            path.unlink()
-        os.close(lock)
-
-
-def _holder(lock: int) -> str:
-    with contextlib.suppress(OSError):
-        return os.pread(lock, 200, 0).decode("utf-8", "replace").strip()
-    return ""
-
-
 # What a run must not write over or remove: what it reads.
 
 
@@ -225,17 +133,6 @@ def require_apart(inputs: Iterable[Path | str | None], written: Iterable[Path]) 
                 raise BadInput(
                     f"{path}: is an input, and {place} is what would be written; choose another --out"
                 )
-
-
-def remove_numbered(folder: Path, suffix: str, numbers: Container[int]) -> None:
-    """Remove the files `000012.exr` of a folder that have these numbers, and the folder once it is empty."""
-    if not folder.is_dir():
-        return
-    for path in folder.glob(f"[0-9][0-9][0-9][0-9][0-9][0-9]*{suffix}"):
-        if path.stem.isdigit() and path.name == f"{int(path.stem):06d}{suffix}" and int(path.stem) in numbers:
-            path.unlink()
-    with contextlib.suppress(OSError):  # something of the user's is left
-        folder.rmdir()
 
 
 # Large files of a frame: memory for them, and writing that leaves nothing in the system's file cache.

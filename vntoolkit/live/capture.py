@@ -26,7 +26,7 @@ from vntoolkit.io.footage.decoding import EncodedFrame
 from vntoolkit.io.footage.video import write_video
 from vntoolkit.live.frames import Begun, LiveProcessor, LiveResult
 from vntoolkit.options.pages import CameraOptions
-from vntoolkit.pipeline.block_work import side_by_side
+from vntoolkit.pipeline.threads import side_by_side
 
 _MOST_CAMERAS = 100  # OpenCV reads the hundreds of a number as the driver to take; a negative one crashes it
 _FAILED_READS = 30  # in a row: the camera is gone

@@ -2,7 +2,6 @@
 
 import contextlib
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
@@ -116,15 +115,10 @@ class LiveProcessor:
                 raise BadInput("live: --key needs a --background without the subject, and no gel's rig")
             self._key = PlateKey(self._background, read.transfer, key)
 
-        def processor() -> FrameProcessor:
-            subtracted = self._background if key is None else None
-            return FrameProcessor(read, reconstruction, mask, subtracted, with_errors=False)
-
-        self._processor = processor()
-        lanes = [self._processor]
-        if self._processor.finds_shadows and self._key is None and loops_may_overlap():
-            lanes.append(processor())
-        self.lanes = tuple(partial(self._begin, lane) for lane in lanes)
+        subtracted = self._background if key is None else None
+        self._processor = FrameProcessor(read, reconstruction, mask, subtracted, with_errors=False)
+        overlap = self._processor.finds_shadows and self._key is None and loops_may_overlap()
+        self.lanes = (self._begin,) * (2 if overlap else 1)
         self._step = max(1, -(-max(self.camera.width, self.camera.height) // depth_px))
         height, width = (n // self._step * self._step for n in (self.camera.height, self.camera.width))
         self.depth_camera = self.camera.cropped(slice(0, height), slice(0, width)).scaled(1 / self._step)
@@ -142,20 +136,19 @@ class LiveProcessor:
         with contextlib.suppress(VntError):  # a dark one warms up too
             for _ in range(_WARMING):
                 self.process(frame)
-        self._processor.forget()
         self._integrator, self._anchor = DepthIntegrator(self.depth_camera, self._integration), None
 
     def process(self, frame: EncodedFrame) -> LiveResult:
         """Return normals and depth of one frame; raise as `FrameProcessor.process` does."""
         return self.finish(self.lanes[0](frame))
 
-    def _begin(self, processor: FrameProcessor, frame: EncodedFrame) -> Begun:
+    def _begin(self, frame: EncodedFrame) -> Begun:
         """The first half of `process`, in `lanes` for as many frames at a time: normals, and warnings."""
         cut = self.view.cut(frame)
         warnings = exposure_warnings(cut)
         if self.view.rectification is not None:
             cut = replace(cut, values=self._linear_values(frame), bits=32)
-        return processor.process(cut, None if self._key is None else self._key(cut)), warnings
+        return self._processor.process(cut, None if self._key is None else self._key(cut)), warnings
 
     def finish(self, begun: Begun) -> LiveResult:
         """The second half, frame after frame: depth, tied to that of the first."""

@@ -77,7 +77,7 @@ class ReconstructOptions(Options):
     where the subject does. mean gives every connected part a mean depth of 0 (perspective: 1)."""
     reference_frame: int | None = None
     """The frame that depth is tied to, and that tells noise and blur of materials' seams. Default: the first
-    of the run that makes the folder."""
+    of all that were asked for."""
     smoothing: float = 0.0
     """Average a pixel with the frames before and after where its colour differs by less than this share of
     full scale. 0 is off; about 3 times the noise is useful."""
@@ -86,6 +86,11 @@ class ReconstructOptions(Options):
     inversion: InversionOptions = field(default_factory=InversionOptions)
     integration: IntegrationOptions = field(default_factory=IntegrationOptions)
     meshing: MeshOptions = field(default_factory=MeshOptions)
+
+    @property
+    def ties_depth(self) -> bool:
+        """True if depth is computed and its free constant is fixed by a reference frame."""
+        return self.depth_offset is DepthOffset.REFERENCE and self.to is not Product.NORMALS
 
     def __post_init__(self) -> None:
         super().__post_init__()

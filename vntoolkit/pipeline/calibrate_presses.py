@@ -15,12 +15,12 @@ from vntoolkit.diagnosis.inspection import findings_from_calibration_footage
 from vntoolkit.errors import BadCalibration, BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.rectification import Rectification
-from vntoolkit.io.atomic import sole_writer
 from vntoolkit.io.files import read_text, source_file
 from vntoolkit.io.footage.captures import Capture, CaptureOptions, open_capture
 from vntoolkit.io.footage.decoding import rectify_frame
 from vntoolkit.io.footage.gel_dots import DotFilter
 from vntoolkit.io.footage.images import write_png
+from vntoolkit.io.results.folder import write_lock
 from vntoolkit.normals.gel import change_without_drift
 from vntoolkit.options.calibration import LabelOffset, PressOptions
 from vntoolkit.options.footage import Gaps, SensorOptions
@@ -201,7 +201,7 @@ def rectify_capture(
     """
     if folder.resolve() in {path.parent.resolve() for path in capture.info.files}:
         raise BadInput(f"{folder}: the footage lies there; choose another --out")
-    with sole_writer(folder):
+    with write_lock(folder):
         earlier = sorted(path for path in folder.glob("*.png") if path.stem.isdigit() and len(path.stem) == 6)
         if earlier and not overwrite:
             raise BadInput(

@@ -7,13 +7,16 @@ from pathlib import Path
 import numpy as np
 
 from vntoolkit.arrays import ByteArray
-from vntoolkit.geometry.camera import Camera
+from vntoolkit.errors import BadInput
 from vntoolkit.io.footage.frame_range import sampled
 from vntoolkit.io.footage.images import write_png
 from vntoolkit.io.footage.video import write_video
-from vntoolkit.io.results.sequences import read_mesh_sequence
 from vntoolkit.options.tracking import CheckerboardOptions
-from vntoolkit.pipeline.tracked_folder import TrackSource, open_track_source, read_track_record
+from vntoolkit.pipeline.opened_result import OpenedResult, open_result
+from vntoolkit.pipeline.tracked_folder import (
+    Tracks,
+    read_tracks,
+)
 from vntoolkit.tracking.checkerboard import checkerboard_frame
 
 _SHEET_COLUMNS, _SHEET_ROWS = 4, 2
@@ -33,27 +36,27 @@ def write_checkerboard(
 ) -> CheckerboardFiles:
     """Write checkerboard.mkv (lossless) and checkerboard.png (eight frames) into the track folder."""
     target = track_folder or folder / "track"
-    frames = _frames(open_track_source(folder), target, options or CheckerboardOptions())
-    sheet = _Sheet(len(read_track_record(target)["frames"]))
-    rate = read_mesh_sequence(target).frame_rate_hz
-    write_video(target / "checkerboard.mkv", sheet.passing(frames), rate)
+    tracks, result = read_tracks(target), open_result(folder, says_missing=False)
+    sheet = _Sheet(len(tracks.numbers))
+    frames = sheet.passing(_frames(result, tracks, options or CheckerboardOptions()))
+    write_video(target / "checkerboard.mkv", frames, tracks.sequence.frame_rate_hz)
     write_png(target / "checkerboard.png", sheet.image())
     return CheckerboardFiles(
         video=target / "checkerboard.mkv", sheet=target / "checkerboard.png", moments=sheet.kept
     )
 
 
-def _frames(source: TrackSource, target: Path, options: CheckerboardOptions) -> Iterator[ByteArray]:
-    record, sequence = read_track_record(target), read_mesh_sequence(target)
-    camera: Camera = source.camera
-    at = record["frames"].index(record["template"])
-    pixels = np.rint(camera.project(np.array(sequence.vertices[at])))
+def _frames(result: OpenedResult, tracks: Tracks, options: CheckerboardOptions) -> Iterator[ByteArray]:
+    camera, sequence, vertices = result.camera, tracks.sequence, tracks.template_vertices
+    if vertices is None:
+        raise BadInput(f"{tracks.folder}: the template's frame {tracks.template} is not tracked yet")
+    pixels = np.rint(camera.project(vertices))
     drawn = np.zeros((camera.height, camera.width, 3), dtype=np.uint8)
-    for row, number in enumerate(record["frames"][: len(sequence)]):
-        if source.has(number):
+    for row, number in enumerate(tracks.numbers):
+        if result.folder.has(number, "normals", "depth"):
             drawn = checkerboard_frame(
                 np.array(sequence.vertices[row]), sequence.template.faces, pixels, camera,
-                source.normals(number), options,
+                result.normals(number), options,
             )  # fmt: skip
         yield drawn
 

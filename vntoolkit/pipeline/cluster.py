@@ -1,28 +1,21 @@
-"""Blocks of frames on many machines by Dask; all workers must see the same folders.
+"""Work on many machines by Dask; all workers must see the same folders.
 
-A block is one task. Its worker opens the capture once, writes every frame's files itself, atomically, and
-returns only the records; so nothing large travels. A worker that dies costs the block it was at: the
-scheduler gives that to another, which computes the same bytes. What is finished is in the folder and its log.
+What makes an item writes its files itself, atomically, and returns little, so that nothing large travels. A
+worker that dies costs the items it was at: the scheduler gives them to another, which makes the same bytes.
 """
 
 import contextlib
 import logging
-import os
 import threading
-from collections.abc import Generator, Iterator
-from dataclasses import replace
-from pathlib import Path
+from collections.abc import Callable, Generator, Iterable, Iterator
 from typing import Any
 
 from vntoolkit.errors import BadInput, MissingDependency, VntError
-from vntoolkit.io.atomic import remove_leftovers
-from vntoolkit.io.results.frame_log import FrameEntry
 from vntoolkit.native import limit_threads
-from vntoolkit.pipeline.block_work import Block, BlockWorker, ReconstructionJob
-from vntoolkit.pipeline.outputs import ReconstructionFolder
+from vntoolkit.pipeline.processes import Item, Result, Work
 
 LOCAL = "local"
-_BLOCKS_IN_FLIGHT = 2  # per thread of the cluster: one at work, one ready
+_IN_FLIGHT = 2  # items per thread of the cluster: one at work, one ready
 _SECONDS_TO_CONNECT = 15
 _RARE_HOUSEKEEPING: dict[str, Any] = {  # several watches a second would cost two busy cores a twelfth
     "distributed.admin.tick.interval": "1s",
@@ -31,24 +24,19 @@ _RARE_HOUSEKEEPING: dict[str, Any] = {  # several watches a second would cost tw
     "distributed.worker.memory.monitor-interval": "1s",
     "distributed.worker.profile.enabled": False,
 }
-_here = threading.local()  # a worker of many threads has one `BlockWorker` for each
+_here = threading.local()  # a worker of many threads has what it began once for each
 
 
-def run_blocks_on_cluster(
-    job: ReconstructionJob,
-    blocks: list[Block],
-    scheduler: str,
-    workers: int,
-) -> Generator[FrameEntry]:
-    """Yield a record per finished frame, as `shared_out` does.
+def map_on_cluster(
+    begin: Callable[[int | None], Work[Item, Result]], items: Iterable[Item], scheduler: str, workers: int
+) -> Generator[Result]:
+    """Yield what the work makes of each item, as `map_in_processes` does; each worker has one thread.
 
     scheduler: address such as tcp://host:8786, or "local" for `workers` processes of this machine. Raises
-    `MissingDependency` without Dask, `BadInput` where no scheduler answers, and what the frames raise.
+    `MissingDependency` without Dask, `BadInput` where no scheduler answers, and what the work raises.
     """
     with connected(scheduler, workers) as client:
-        yield from _collect(client, _for_anywhere(job), blocks)
-        # Every block is written, so what is half-written was left by workers that died, here or elsewhere.
-        remove_leftovers(job.folder.root, lambda process: process != os.getpid())
+        yield from _collect(client, begin, items)
 
 
 def require_scheduler(scheduler: str) -> None:
@@ -104,52 +92,38 @@ def _let_dask_report_errors_only() -> None:
             logger.setLevel(max(logger.level, logging.ERROR))
 
 
-def _collect(client: Any, job: ReconstructionJob, blocks: list[Block]) -> Generator[FrameEntry]:
-    """Keep a bounded number of blocks submitted, and hand on what they return."""
+def _collect(
+    client: Any, begin: Callable[[int | None], Work[Item, Result]], items: Iterable[Item]
+) -> Generator[Result]:
+    """Keep a bounded number of items submitted, and hand on what they return."""
     import distributed
 
-    shared = client.scatter(job, broadcast=True, hash=False)
-    waiting = iter(blocks)
+    shared = client.scatter(begin, broadcast=True, hash=False)
+    waiting = iter(items)
     running = distributed.as_completed()
     try:
         while True:
-            most = _BLOCKS_IN_FLIGHT * max(1, sum(client.nthreads().values()))
-            while running.count() < most and (block := next(waiting, None)) is not None:
-                running.add(client.submit(_run_block, shared, block, pure=False))
+            most = _IN_FLIGHT * max(1, sum(client.nthreads().values()))
+            while running.count() < most and (item := next(waiting, None)) is not None:
+                running.add(client.submit(_work_on, shared, item, pure=False))
             if running.count() == 0:
                 return
             future = next(running)
             try:
-                entries = future.result()
+                results = future.result()
             except distributed.KilledWorker as error:
                 raise VntError(
                     "one block of frames ended several workers, one after the other (out of memory?); what "
                     "is finished is on disk: run the same command again to go on"
                 ) from error
-            yield from entries
+            yield from results
     finally:
         client.cancel(list(running.futures), force=True)
 
 
-def _run_block(job: ReconstructionJob, block: Block) -> list[FrameEntry]:
-    """Run on the cluster: process a block with this thread's worker."""
-    if getattr(_here, "job", None) is not job:  # one run sends one object: another rig is another object
+def _work_on(begin: Callable[[int | None], Work[Any, Any]], item: Any) -> list[Any]:
+    """Run on the cluster: do an item by what this thread began."""
+    if getattr(_here, "begin", None) is not begin:  # one run sends one object: another run's is another
         limit_threads(1)
-        _here.worker, _here.job = BlockWorker(job), job
-    return list(_here.worker.run(*block))
-
-
-def _for_anywhere(job: ReconstructionJob) -> ReconstructionJob:
-    """The job for one thread, paths absolute: a worker runs in another folder, but sees the same ones."""
-
-    def absolute(path: Path | None) -> Path | None:
-        return None if path is None else Path(path).absolute()
-
-    return replace(
-        job,
-        source=os.path.abspath(job.source),  # noqa: PTH100 - may be a pattern; Path would keep the dots
-        folder=ReconstructionFolder(root=job.folder.root.absolute()),
-        mask=absolute(job.mask),
-        background=absolute(job.background),
-        threads=1,  # as Dask counts: the cluster's processes and threads are the parallelism
-    )
+        _here.work, _here.begin = begin(1), begin
+    return list(_here.work(item))

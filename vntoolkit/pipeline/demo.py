@@ -8,17 +8,17 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from vntoolkit.geometry.board_layout import BoardLayout
-from vntoolkit.io.atomic import sole_writer
 from vntoolkit.io.footage.frame_range import FrameRange
+from vntoolkit.io.results.folder import write_lock
 from vntoolkit.io.rigs import read_rig, write_rig
 from vntoolkit.options.calibration import BoardOptions
 from vntoolkit.options.reconstruction import ReconstructOptions
 from vntoolkit.options.simulation import DemoOptions, SceneOptions
-from vntoolkit.pipeline.block_work import ReconstructionJob
 from vntoolkit.pipeline.calibrate import CalibrationJob, calibrate_board
 from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.processes import processes_kept
 from vntoolkit.pipeline.reconstruct import ReconstructionSummary, reconstruct
+from vntoolkit.pipeline.request import Request
 from vntoolkit.pipeline.simulate import SimulationFolder, SimulationJob, simulate
 from vntoolkit.simulation.lights import CAMERA_DISTANCE_M
 from vntoolkit.simulation.scene import build_scene
@@ -75,13 +75,13 @@ def run_demo(
         "film the board": _film(_BOARD, folder.board, f"::{_BOARD_STEP}", options, sample="sweater"),
         "film the sweater": _film("sweater", folder.garment, f":{options.frames}", options),
     }
-    with sole_writer(folder.root), processes_kept():
+    with write_lock(folder.root), processes_kept():
         for stage, job in films.items():
             count = _Counter(stage, on_progress)
             simulate(job, jobs=jobs, overwrite=overwrite, on_start=count.start, on_frame=count.advance)
             if job.scene == _BOARD:
                 _calibrate(folder, on_progress)
-        reconstruction = ReconstructionJob(
+        reconstruction = Request(
             source=str(SimulationFolder(root=folder.garment).video),
             rig=read_rig(folder.rig),
             options=ReconstructOptions(distance_m=CAMERA_DISTANCE_M),

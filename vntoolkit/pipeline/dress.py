@@ -34,7 +34,14 @@ from vntoolkit.options.dressing import (
 )
 from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.texture import SurfaceTexture, read_texture, texture_of_tracks
-from vntoolkit.pipeline.tracked_folder import colours_at, read_track_record, recorded_camera, uv_in_picture
+from vntoolkit.pipeline.tracked_folder import (
+    Tracks,
+    colours_at,
+    read_track_record,
+    read_tracks,
+    recorded_camera,
+    uv_in_picture,
+)
 from vntoolkit.shipped import shipped_files
 from vntoolkit.skinning import clock as clocks
 from vntoolkit.skinning.alignment import CapturedMotion, parts_of
@@ -490,7 +497,9 @@ def captured_look(folder: Path | str) -> CapturedLook:
 def read_tracked_cloth(folder: Path | str) -> MeshSequence:
     """Open the registered mesh that `track` left in a folder (or the folder `track` itself)."""
     track = _track_folder(Path(folder))
-    return _as_captured(read_mesh_sequence(track), track)
+    if not (track / "track.json").exists():
+        return read_mesh_sequence(track)
+    return _as_captured(read_tracks(track))
 
 
 def _track_folder(folder: Path) -> Path:
@@ -502,20 +511,17 @@ def _track_folder(folder: Path) -> Path:
     return inside if inside.is_dir() else folder
 
 
-def _as_captured(cloth: MeshSequence, track: Path) -> MeshSequence:
+def _as_captured(tracks: Tracks) -> MeshSequence:
     """Give the template its picture's texture coordinates and colours, else its frame's own mesh's."""
-    if not (track / "track.json").exists():
+    cloth, vertices = tracks.sequence, tracks.template_vertices
+    template = cloth.template
+    if vertices is None:
         return cloth
-    record = read_track_record(track)
-    template, row = cloth.template, record["frames"].index(record["template"])
-    if row >= len(cloth):
-        return cloth
-    vertices = np.array(cloth.vertices[row])
-    if "camera" in record:
-        template = replace(template, uv=uv_in_picture(recorded_camera(record).without_distortion(), vertices))
-    texture = read_texture(track)
+    if "camera" in tracks.record:
+        template = replace(template, uv=uv_in_picture(tracks.camera.without_distortion(), vertices))
+    texture = read_texture(tracks.folder)
     albedo = None if texture is None else texture.colours(template)
-    own = ReconstructionFolder(root=track.parent).file("mesh", record["template"])
+    own = ReconstructionFolder(root=tracks.folder.parent).file("mesh", tracks.template)
     if albedo is not None:
         template = replace(template, colours=albedo)
     elif template.colours is None and own.exists():

@@ -32,13 +32,12 @@ from vntoolkit.io.maps_and_meshes.arrays import map_npy, read_npz
 from vntoolkit.io.maps_and_meshes.label_images import read_mask
 from vntoolkit.io.maps_and_meshes.maps import read_normal_map
 from vntoolkit.io.maps_and_meshes.meshes import read_mesh
-from vntoolkit.io.results.sequences import read_mesh_sequence
 from vntoolkit.io.rigs import read_rig
 from vntoolkit.options.depth import IntegrationOptions, Integrator
 from vntoolkit.options.export import NormalConvention
 from vntoolkit.pipeline.opened_result import OpenedResult
 from vntoolkit.pipeline.simulate import SimulationFolder
-from vntoolkit.pipeline.tracked_folder import read_track_record, recorded_camera
+from vntoolkit.pipeline.tracked_folder import read_tracks
 
 _SUFFIXES = (".exr", ".png", ".tif", ".tiff")
 logger = logging.getLogger(__name__)
@@ -328,20 +327,19 @@ def evaluate_tracks(
 
     lost_px: expected error above which a vertex counts as lost; None for the one that `track` used.
     """
-    truth, record = read_track_truth(truth_folder), read_track_record(track_folder)
-    sequence = read_mesh_sequence(track_folder)
-    numbers: list[int] = record["frames"][: len(sequence)]
+    truth, tracks = read_track_truth(truth_folder), read_tracks(track_folder)
+    sequence, numbers = tracks.sequence, tracks.numbers
     if not numbers or max(numbers) >= len(truth.vertices):
         raise BadInput(
             f"{track_folder}: its frames reach {max(numbers, default=0)}, the truth has {len(truth.vertices)}"
         )
-    if record["template"] not in numbers:
-        raise BadInput(f"{track_folder}: the template frame {record['template']} is not tracked yet")
-    lost_px = record.get("lost_px", track_error.LOST_PX) if lost_px is None else lost_px
-    believed = recorded_camera(record)
-    template = believed.project(sequence.vertices[numbers.index(record["template"])])
+    if tracks.template_vertices is None:
+        raise BadInput(f"{track_folder}: the template frame {tracks.template} is not tracked yet")
+    lost_px = tracks.lost_px if lost_px is None else lost_px
+    believed = tracks.camera
+    template = believed.project(tracks.template_vertices)
     anchors = track_error.anchors_on_mesh(
-        template, np.array(truth.vertices[record["template"]]), truth.faces, truth.camera
+        template, np.array(truth.vertices[tracks.template]), truth.faces, truth.camera
     )
     rows = sorted({*range(0, len(numbers), every), len(numbers) - 1})
     return list(

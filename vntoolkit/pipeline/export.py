@@ -1,6 +1,5 @@
 """Export of results to other programs: one animated file, or one file per frame, written atomically."""
 
-import json
 import logging
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
@@ -18,7 +17,6 @@ from vntoolkit.geometry.mesh import Mesh, vertex_normals
 from vntoolkit.geometry.skinned_clip import ViewedFrom
 from vntoolkit.io import atomic
 from vntoolkit.io.conventions import graphics_from_camera
-from vntoolkit.io.files import parse_json, read_text
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.light_files import remove_diligent, write_diligent
 from vntoolkit.io.maps_and_meshes.arrays import StreamedArray, write_npz
@@ -26,6 +24,7 @@ from vntoolkit.io.maps_and_meshes.glb import write_glb
 from vntoolkit.io.maps_and_meshes.maps import write_normal_map
 from vntoolkit.io.maps_and_meshes.meshes import write_material, write_mesh, write_point_cloud
 from vntoolkit.io.maps_and_meshes.usd import write_usd_meshes, write_usd_sequence
+from vntoolkit.io.results.folder import FolderKind, begin_run, read_lock, write_lock
 from vntoolkit.meshing.clean import clean_mesh
 from vntoolkit.meshing.surface import point_cloud_from_depth
 from vntoolkit.options.export import (
@@ -39,10 +38,7 @@ from vntoolkit.pipeline.options import option_values
 from vntoolkit.pipeline.texture import SurfaceTexture, texture_of_tracks
 from vntoolkit.pipeline.tracked_folder import colours_at
 
-_RECORD = "export.json"
 _MATERIAL = "surface.mtl"  # of all frames in a folder of OBJ files
-_SUFFIXES = (".ply", ".obj", ".glb", ".npz", ".png")  # of a frame's file
-_MOST_FRAMES = 10**6  # their names have six digits
 Advance = Callable[[], None]
 _LOGGER = logging.getLogger(__name__)
 _METRES_PER_PIXEL = 0.001  # shown, not measured: a 600-pixel subject opens 0.6 m tall in Blender
@@ -92,7 +88,7 @@ def export(
     A single file appears when it is whole. In a folder every file does; the same command again goes on where
     it stopped, and writes again what has changed since. Raises `BadInput`.
     """
-    with atomic.undisturbed(job.folder):
+    with read_lock(job.folder):
         return _export(job, overwrite, on_start, on_frame)
 
 
@@ -223,12 +219,8 @@ def _export_folder(
     untouched = ("cleaning",) if job.options.cleaning is None else ()
     values = option_values(job.options, without=untouched)
     record = {"version": 1, "options": values, "result_sha256": result.digest, **writer.facts}
-    with atomic.sole_writer(out):
-        if not overwrite:
-            _require_same(out, record)
-        else:
-            _clear(out)
-        atomic.write_text(out / _RECORD, json.dumps(record, indent=2) + "\n")
+    with write_lock(out):
+        begin_run(out, EXPORT, record, overwrite=overwrite)
         kept = {number for number in numbers if writer.is_current(out, number)}
         on_start(len(numbers), len(kept))
         for number in numbers:
@@ -241,27 +233,14 @@ def _export_folder(
     )
 
 
-def _require_same(out: Path, record: Mapping[str, Any]) -> None:
-    """Raise `BadInput` if the folder holds an export of other options or of another result."""
-    path = out / _RECORD
-    if path.exists() and parse_json(read_text(path), str(path)) != record:
-        raise BadInput(
-            f"{out}: holds an export with other options or of another result; add --overwrite to replace it, "
-            "or choose another --out"
-        )
-
-
-def _clear(out: Path) -> None:
-    """Remove the frames of an earlier export, whatever their format, and nothing else."""
-    if not (out / _RECORD).exists():
-        return
-    for suffix in _SUFFIXES:
-        atomic.remove_numbered(out, suffix, range(_MOST_FRAMES))
-    for folder in out.glob("[0-9][0-9][0-9][0-9][0-9][0-9]"):
-        remove_diligent(folder)
-    for name in ("track.npz", _MATERIAL, "surface_albedo.png", "surface_normal.png"):
-        (out / name).unlink(missing_ok=True)
-    (out / _RECORD).unlink()
+EXPORT = FolderKind(
+    verb="export",
+    holds="an export",
+    record="export.json",
+    files=("track.npz", _MATERIAL, "surface_albedo.png", "surface_normal.png"),
+    frames={".": (".ply", ".obj", ".glb", ".npz", ".png")},  # whatever the format of the earlier one
+    clear_frame=remove_diligent,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -499,7 +478,7 @@ class _Diligent(FrameExport):
         result.capture  # noqa: B018 - refused before anything is written
         lights = result.rig.response.lights
         strengths: FloatArray = np.linalg.norm(lights, axis=1)
-        albedo = result.manifest.options.get("inversion.relative_albedo", 1.0)
+        albedo = result.manifest.known.relative_albedo or 1.0
         self._scale = _HEADROOM * max(1.0, float(albedo)) * float(strengths.max())
         self._directions = lights / strengths[:, None]
         self._intensities = np.repeat(strengths[:, None] / self._scale, 3, axis=1)

@@ -7,19 +7,17 @@ with a rig that was calibrated lamp by lamp.
 
 import logging
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from vntoolkit.arrays import FloatArray, Matrix3
 from vntoolkit.errors import BadRig, VntError
-from vntoolkit.io.footage.captures import Capture
-from vntoolkit.io.footage.mattes import Mattes
 from vntoolkit.options.normals import ShadowMethod
-from vntoolkit.options.reconstruction import MaterialSearch, Product
+from vntoolkit.options.reconstruction import MaterialSearch, Product, ReconstructOptions
 from vntoolkit.photometry.rig import Rig
-from vntoolkit.pipeline.block_work import ReconstructionJob
 from vntoolkit.pipeline.frame_processor import FrameProcessor
+from vntoolkit.pipeline.request import Footage
 from vntoolkit.shadows.lamp_directions import SURE_DEG, directions_from_unlit
 
 logger = logging.getLogger(__name__)
@@ -29,42 +27,54 @@ _NOTHING_DEG = 30.0  # lamps stand not much farther apart
 _LEAST_LIGHT = -0.05  # of the strongest channel of a lamp: light is not negative
 
 
-def with_found_lamps(
-    job: ReconstructionJob, capture: Capture, mattes: Mattes, numbers: range
-) -> ReconstructionJob:
-    """Return the job with the lamps' colours in its rig, as far as shadows on some frames tell all three.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FoundLamps:
+    """What shadows tell of lamps. rig: with their colours, where all three are told, else as given.
+
+    in_words: what is not told, as part of a warning.
+    """
+
+    rig: Rig
+    in_words: str = ""
+
+
+def looks_for_lamps(rig: Rig, options: ReconstructOptions) -> bool:
+    """Whether the lamps' colours are not known, and shadows are looked for that could tell them."""
+    unknown = rig.response.light_colours is None and rig.gel is None
+    is_plain = options.materials is MaterialSearch.CALIBRATED
+    return unknown and options.shadows is ShadowMethod.ROBUST and not is_plain
+
+
+def find_lamps(rig: Rig, options: ReconstructOptions, footage: Footage, numbers: Sequence[int]) -> FoundLamps:
+    """Look for the lamps in the shadows of some frames.
 
     With M alone every channel counts as a lamp, so that many shadows are missed and dark paint is taken for
     some. So they are looked for again with the colours told so far, in frames between the first ones. Lamps
     that were not told count as standing where M's rows point. What the second look tells counts.
     """
-    if job.rig.response.light_colours is not None or job.rig.gel is not None:
-        return job
-    if job.options.shadows is not ShadowMethod.ROBUST or job.options.materials is MaterialSearch.CALIBRATED:
-        return job
-    there = [n for n in capture.present if n in numbers and not mattes.missing([n])]
+    there = footage.usable(numbers)
     step = max(1, -(-len(there) // _LOOKED_AT))
-    alone, rig, unlit = job.rig.response, job.rig, _nothing()
+    alone, guessed, unlit, in_words = rig.response, rig, _nothing(), ""
     for frames in (there[::step], there[step // 2 :: step]):
-        seen = _unlit_by_lamp(replace(job, rig=rig), capture, mattes, frames)
+        seen = _unlit_by_lamp(guessed, options, footage, frames)
         unlit = [np.concatenate(pair) for pair in zip(unlit, seen, strict=True)]
         lamps = directions_from_unlit(unlit, alone)
         doubts_deg = np.degrees(lamps.doubts)
-        job = replace(job, lamp_doubts_deg=tuple(doubts_deg))
+        in_words = lamps_in_words(tuple(doubts_deg))
         helps = doubts_deg <= _BETTER_DEG
-        found = _with_colours(job.rig, np.where(helps[:, None], lamps.central, alone.light_directions))
-        is_second_look = rig is not job.rig
+        found = _with_colours(rig, np.where(helps[:, None], lamps.central, alone.light_directions))
+        is_second_look = guessed is not rig
         if found is not None and is_second_look and doubts_deg.max() <= SURE_DEG:
             colours = found.response.light_colours
             if colours is None or (colours < _LEAST_LIGHT * colours.max(axis=1, keepdims=True)).any():
                 break
             response = replace(found.response, light_doubts_deg=np.round(doubts_deg, 2))
-            return replace(job, rig=replace(found, response=response))
+            return FoundLamps(rig=replace(found, response=response))
         if found is not None and helps.any():
-            rig, unlit = found, _nothing()
+            guessed, unlit = found, _nothing()
         elif step == 1:  # the same frames would tell the same
             break
-    return job
+    return FoundLamps(rig=rig, in_words=in_words)
 
 
 def lamps_in_words(doubts_deg: Sequence[float]) -> str:
@@ -94,11 +104,12 @@ def _nothing() -> list[FloatArray]:
 
 
 def _unlit_by_lamp(
-    job: ReconstructionJob, capture: Capture, mattes: Mattes, numbers: Sequence[int]
+    rig: Rig, options: ReconstructOptions, footage: Footage, numbers: Sequence[int]
 ) -> list[FloatArray]:
     """Return for each lamp (n, 3), what it does not reach in some frames."""
-    options = replace(job.options, to=Product.DEPTH, materials=MaterialSearch.CALIBRATED)
-    processor = FrameProcessor(job.rig, options, mattes.still, capture.background, with_errors=False)
+    options = replace(options, to=Product.DEPTH, materials=MaterialSearch.CALIBRATED)
+    capture, mattes = footage.capture, footage.mattes
+    processor = FrameProcessor(rig, options, mattes.still, capture.background, with_errors=False)
     unlit = _nothing()
     for number in numbers:
         try:

@@ -1,48 +1,60 @@
 """One frame: from stored samples to normals, depth and a mesh (brostow2011, Section III-B)."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
-from vntoolkit.arrays import BoolArray, Colours, FloatArray, LinearImage, Mask, VisibilityLabels
+from vntoolkit.arrays import BoolArray, Colours, FloatArray, LinearImage, Mask
 from vntoolkit.checks import require_shape
 from vntoolkit.errors import BadCapture, BadInput
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
-from vntoolkit.integration.cast_shadows import steps_from_shadows
-from vntoolkit.integration.expected_error import with_expected_depth_error
-from vntoolkit.integration.integrate import DepthAnchor, DepthIntegrator
-from vntoolkit.integration.slopes import rays_from_camera
 from vntoolkit.io.footage.decoding import EncodedFrame, linear_frame_from_encoded, resampler_of
-from vntoolkit.io.footage.gel_dots import DotFilter
-from vntoolkit.materials.labelling import FrameStatistics, LabelState, MaterialLabeller
-from vntoolkit.materials.mixtures import MaterialLabels
-from vntoolkit.materials.relighting import colours_of
-from vntoolkit.materials.split_frame import box_of
-from vntoolkit.meshing.surface import mesh_from_depth
+from vntoolkit.io.results.manifest import MaterialEntry
 from vntoolkit.native import keep_freed_memory
 from vntoolkit.normals import expected_error
-from vntoolkit.normals.gel import GelInverter, drift_of_change
 from vntoolkit.normals.inversion import normals_from_encoded, normals_from_frame, relative_albedo_from_frame
 from vntoolkit.options.normals import ShadowMethod
 from vntoolkit.options.reconstruction import Product, ReconstructOptions
-from vntoolkit.photometry.frame import ALL_LIT, LinearFrame
+from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.levelling import Box, leveller_of
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import Transfer, TransferCurve, encoded_from_linear
-from vntoolkit.pipeline.contact import contact_from_depth, rested
 from vntoolkit.pipeline.outputs import FrameResult
-from vntoolkit.shadows.contributions import brighter_than
-from vntoolkit.shadows.detector import ShadowDetector
-from vntoolkit.shadows.lamp_directions import LampDirections, directions_from_shadows, unlit_by_lamp
-from vntoolkit.shadows.recovery import recover_surface
+
+if TYPE_CHECKING:
+    from vntoolkit.integration.integrate import DepthAnchor, DepthIntegrator
+    from vntoolkit.materials.labelling import FrameStatistics, LabelState, MaterialLabeller
+    from vntoolkit.materials.mixtures import MaterialLabels
 
 _SAMPLES = (slice(None, None, 4),) * 2  # these pixels tell how bright a subject is
 
 
+@dataclass(kw_only=True, eq=False)
+class Carried:
+    """What one frame of a sequence hands to the next; all else of a frame is its own.
+
+    labels: of materials. integrator: has the solution that the next depth starts from. Of the reference
+    frame, for all others, None for none: statistics, what it told of materials' noise, blur and lengths;
+    anchor, the depth that they are tied to.
+    """
+
+    labels: LabelState | None = None
+    statistics: FrameStatistics | None = None
+    integrator: DepthIntegrator | None = None
+    anchor: DepthAnchor | None = None
+
+    def reset(self) -> None:
+        """Drop what came from the frame before, so that a sequence may start at any frame."""
+        self.integrator = self.labels = None
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
-class SeenFrame:
+class PreparedFrame:
     """A frame in linear light and, where the subject's materials are known, as if all were the rig's.
 
     mask: (h, w), pixels of interest. linear: None where one loop decodes and inverts the frame. materials:
@@ -58,7 +70,7 @@ class SeenFrame:
 
 
 class FrameProcessor:
-    """Turns the frames of one capture into results; keeps operators and warm starts between frames.
+    """Turns frames of one capture into results. It never changes: what frames hand on is a `Carried`.
 
     rig: its transfer is taken as the capture's. mask: (h, w) pixels of interest in the footage as filmed, or
     None for all. background: linear (h, w, 3) as filmed, subtracted, or None; a gel's rig needs it, the
@@ -73,41 +85,22 @@ class FrameProcessor:
         background: LinearImage | None = None,
         *,
         with_errors: bool = True,
-        reflectances: Sequence[Sequence[float]] = (),
-        pigments: Sequence[Sequence[float]] = (),
-        errors_deg: Sequence[float] = (),
+        materials: Sequence[MaterialEntry] = (),
         blur_px: float = 0.0,
     ) -> None:
-        """reflectances: (m, 3), of the subject's materials relative to the rig's; empty for the rig's alone.
-        pigments: (m, 3), along which log reflectances change, 0 for none. errors_deg: (m,), root mean square
-        angles by which errors of the reflectances turn normals. blur_px: standard deviation of the picture's
-        blur, 0 for unknown.
-
-        with_errors: whether normals and depth carry their expected errors; a live view has no time."""
+        """with_errors: whether normals and depth carry their expected errors; a live view has no time.
+        materials: of the subject; empty for the rig's alone. blur_px: standard deviation of the picture's
+        blur, 0 for unknown."""
         keep_freed_memory()
-        self._rig = rig
-        self._with_errors = with_errors
-        self._blur_px = blur_px
-        self._options = options
-        self._background = background
+        self._rig, self._options, self._background = rig, options, background
+        self._with_errors, self._blur_px = with_errors, blur_px
         self._resampler = resampler_of(rig)
         self.camera = rig.camera.without_distortion()
-        shape = (rig.camera.height, rig.camera.width)
         filmed = rig.footage_size[::-1]
         if mask is not None:
             require_shape(mask, filmed, "mask")
-        self._mask = self._whole_mask = self._resampler.mask(
-            np.ones(filmed, dtype=np.bool_) if mask is None else mask
-        )
-        self._gel = None if rig.gel is None else GelInverter(rig.response, rig.gel)
-        self._dots: DotFilter | None = None
+        self.whole_mask = self._resampler.mask(np.ones(filmed, dtype=np.bool_) if mask is None else mask)
         rig.require_background(background is not None)
-        if self._gel is not None and background is not None:
-            nothing: Mask = np.zeros(filmed, dtype=np.bool_)
-            self._dots = DotFilter(self._resampler.frame(LinearFrame(rgb=background, clipped=nothing)).rgb)
-        self._integrator = DepthIntegrator(self.camera, options.integration)
-        self._rays = rays_from_camera(self.camera)
-        self._anchor: DepthAnchor | None = None
         self._central = rig.response.central
         fitted = rig.quality is not None and rig.quality.samples
         self._residual_deg = rig.quality.residual_deg if rig.quality is not None and fitted else 0.0
@@ -115,233 +108,110 @@ class FrameProcessor:
         self._residual_of_pixels = rig.quality is not None and rig.quality.method == "sphere"
         self._leveller = None
         if rig.response.variation is not None:
-            self._leveller = leveller_of(rig.response, shape)
-        self._detector = ShadowDetector(self._central, options.shadows, self.camera)
-        self._reflectances = np.array(reflectances, dtype=np.float64).reshape(-1, 3)
+            self._leveller = leveller_of(rig.response, (rig.camera.height, rig.camera.width))
+        self._gel = None
+        if rig.gel is not None and background is not None:
+            from vntoolkit.pipeline.pressed_gel import PressedGel
+
+            nothing: Mask = np.zeros(filmed, dtype=np.bool_)
+            untouched = self._resampler.frame(LinearFrame(rgb=background, clipped=nothing)).rgb
+            self._gel = PressedGel(rig.response, rig.gel, untouched, with_errors=with_errors)
+        self._shadows = None
+        if options.shadows is not ShadowMethod.NONE:
+            from vntoolkit.pipeline.shadowed_normals import ShadowedNormals
+
+            self._shadows = ShadowedNormals(rig.response, options.shadows, self.camera, options.inversion)
+        self._materials = materials
         self._labeller: MaterialLabeller | None = None
-        self._labelled_before = LabelState()
-        self._statistics: FrameStatistics | None = None  # of materials, as the reference frame told them
-        if len(self._reflectances):
+        if materials:
+            from vntoolkit.materials.labelling import MaterialLabeller
+
+            pigments = [each.pigment or (0.0, 0.0, 0.0) for each in materials]
             self._labeller = MaterialLabeller(
                 response=self._central,
-                reflectances=self._reflectances,
-                pigments=np.array(pigments, dtype=np.float64).reshape(-1, 3),
+                reflectances=np.array([each.reflectance for each in materials], dtype=np.float64),
+                pigments=np.array(pigments, dtype=np.float64),
                 camera=self.camera,
                 leveller=self._leveller,
-            )
-            self._bounds_deg = (expected_error.OF_ANGLE * np.array(errors_deg or [0.0])).astype(np.float32)
-            self._paints = encoded_from_linear(
-                colours_of(self._reflectances, self._central), Transfer(curve=TransferCurve.SRGB)
             )
 
     @property
     def finds_shadows(self) -> bool:
-        """True where `normals_of` takes long. Then it owes nothing to the frame before."""
-        return self._options.shadows is not ShadowMethod.NONE and self._gel is None
+        """True where `normals` takes long."""
+        return self._shadows is not None and self._gel is None
 
-    def refer_to(self, frame: EncodedFrame, matte: Mask | None = None, *, ties_depth: bool = True) -> None:
+    def process(
+        self, frame: EncodedFrame, matte: Mask | None = None, carried: Carried | None = None
+    ) -> FrameResult:
+        """Take one frame from stored samples to linear RGB, normals, depth and a mesh, as the options say.
+
+        matte: (h, w) pixels of interest of this frame, as filmed; None for those of every frame. carried:
+        from the frame before; None for a frame alone. Raises `BadCapture` where it has no usable pixel.
+        """
+        carried = carried or Carried()
+        prepared = self.prepared(frame, matte, carried)
+        result = self.normals(prepared)
+        return self.with_surface(result, frame, carried)
+
+    def set_reference(
+        self, carried: Carried, frame: EncodedFrame, matte: Mask | None = None, *, ties_depth: bool = True
+    ) -> None:
         """Let a frame tell noise, blur, and how exact materials' lengths are, for all frames.
 
         ties_depth: the depth of later frames is tied to its own, too; see `DepthAnchor`. Raises as `process`
         does.
         """
-        self.forget()
+        carried.reset()
         if ties_depth:
-            result = self._normals(self.seen(frame, matte))
+            from vntoolkit.integration.integrate import DepthAnchor
+
+            result = self._normals(self.prepared(frame, matte, carried))
             if result.normal_map.mask.any():
-                self._anchor = DepthAnchor(self._integrated(result))
+                carried.anchor = DepthAnchor(self._integrated(result, carried))
         else:
-            self._labelled(frame, matte)
-        self._statistics = self._labelled_before.statistics
-        self.forget()
+            self._labelled(frame, matte, carried)
+        if carried.labels is not None:
+            carried.statistics = carried.labels.statistics
+        carried.reset()
 
-    def forget(self) -> None:
-        """Drop everything that one frame hands to the next, so that a run may start at any block."""
-        self._integrator = DepthIntegrator(self.camera, self._options.integration)
-        self._labelled_before = LabelState(statistics=self._statistics)
+    # Video → linear RGB, and all in one material. Frames come in order.
 
-    def process(self, frame: EncodedFrame, matte: Mask | None = None) -> FrameResult:
-        """Invert, integrate and mesh one frame, as far as the options say.
-
-        matte: (h, w) pixels of interest of this frame, as filmed; None for those of every frame. Raises
-        `BadCapture` where the frame has no usable pixel.
-        """
-        return self.with_surface(self.normals(frame, matte), frame)
-
-    def normals(self, frame: EncodedFrame, matte: Mask | None = None) -> FrameResult:
-        """The first half of `process`: normals and labels."""
-        return self.normals_of(self.seen(frame, matte))
-
-    def normals_of(self, seen: SeenFrame) -> FrameResult:
-        """The second step of `normals`, which frames may take in any order, several at a time.
-
-        Each of them needs a processor of its own.
-        """
-        result, frame = self._normals(seen), seen.frame
-        if not result.normal_map.mask.any():
-            raise BadCapture(
-                f"{frame.name}: no usable pixel: all are black, clipped or outside the mask; "
-                "look at exposure, mask and rig"
-            )
-        return result
-
-    def with_surface(self, result: FrameResult, frame: EncodedFrame) -> FrameResult:
-        """The second half: depth and mesh, as far as the options say.
-
-        Another thread may work on it while this one finds the next frame's normals; frames come in order.
-        """
-        normal_map = result.normal_map
-        depth_map = None if self._options.to is Product.NORMALS else self._depth(result)
-        contact = None
-        if self._gel is not None and depth_map is not None:
-            depth_map = rested(depth_map)
-            contact = contact_from_depth(depth_map, self.camera)
-        mesh = None
-        if self._options.to is Product.MESH and depth_map is not None:
-            mesh = mesh_from_depth(
-                depth_map,
-                self.camera,
-                rgb=self._displayed(frame, result.materials),
-                normal_map=normal_map,
-                options=self._options.meshing,
-            )
-        return replace(result, depth_map=depth_map, mesh=mesh, contact=contact)
-
-    def _look_inside(self, matte: Mask | None) -> None:
-        self._mask = self._whole_mask
-        if matte is not None:
-            self._mask = self._whole_mask & self._resampler.mask(matte)
-
-    def seen(self, frame: EncodedFrame, matte: Mask | None = None) -> SeenFrame:
-        """The first step of `normals`: light, and materials, which go on from the frame before.
-
-        Frames come in order.
-        """
-        linear, materials = self._labelled(frame, matte)
-        if linear is None:
-            return SeenFrame(frame=frame, mask=self._mask)
-        turned_deg = None
-        if self._labeller is not None and materials is not None:
-            linear, turned_deg, self._labelled_before = self._labeller.relit(
-                linear, materials, self._labelled_before, self._mask, box_of(self._mask)
-            )
-            if self._bounds_deg.any():
-                turned_deg = expected_error.doubts_of_materials(materials, self._bounds_deg, turned_deg)
-        return SeenFrame(
-            frame=frame, mask=self._mask, linear=linear, materials=materials, turned_deg=turned_deg
+    def prepared(self, frame: EncodedFrame, matte: Mask | None, carried: Carried) -> PreparedFrame:
+        """Return a frame in linear light, and of one material; labels go on from the frame before."""
+        mask, linear, materials = self._labelled(frame, matte, carried)
+        if linear is None or materials is None or self._labeller is None or carried.labels is None:
+            return PreparedFrame(frame=frame, mask=mask, linear=linear)
+        linear, turned_deg, carried.labels = self._labeller.relit(
+            linear, materials, carried.labels, mask, _box_of(mask)
+        )
+        errors_deg = np.array([each.error_deg for each in self._materials])
+        bounds_deg = (expected_error.OF_ANGLE * errors_deg).astype(np.float32)
+        if bounds_deg.any():
+            turned_deg = expected_error.doubts_of_materials(materials, bounds_deg, turned_deg)
+        return PreparedFrame(
+            frame=frame, mask=mask, linear=linear, materials=materials, turned_deg=turned_deg
         )
 
     def _labelled(
-        self, frame: EncodedFrame, matte: Mask | None
-    ) -> tuple[LinearFrame | None, MaterialLabels | None]:
-        """Return a frame in linear light, None where one loop decodes and inverts it, and its materials."""
+        self, frame: EncodedFrame, matte: Mask | None, carried: Carried
+    ) -> tuple[Mask, LinearFrame | None, MaterialLabels | None]:
+        """Return pixels of interest, linear light, None where one loop does all, and materials."""
         require_shape(frame.values, (*self._rig.footage_size[::-1], 3), frame.name)
-        self._look_inside(matte)
+        mask = self._mask_of(matte)
         if self._is_plain(frame):
-            return None, None
+            return mask, None, None
         linear = self.linear(frame)
         if self._labeller is None:
-            return linear, None
-        self._mask = self.lit_subject(linear)
-        labels, self._labelled_before = self._labeller.labels(linear, self._mask, self._labelled_before)
-        return linear, labels
+            return mask, linear, None
+        from vntoolkit.materials.labelling import LabelState
 
-    def _normals(self, seen: SeenFrame) -> FrameResult:
-        frame, mask, linear, residual_deg = seen.frame, seen.mask, seen.linear, self._residual_deg
-        if linear is None:
-            values, transfer, response = frame.values, self._rig.transfer, self._rig.response
-            if self._with_errors:
-                normal_map, clipped_share = expected_error.normals_and_errors_from_encoded(
-                    values, response, transfer, mask, camera=self.camera,
-                    options=self._options.inversion, bits=frame.bits, residual_deg=residual_deg,
-                    blur_px=self._blur_px, residual_of_pixels=self._residual_of_pixels,
-                )  # fmt: skip
-                return _result(seen, normal_map, clipped_share)
-            normal_map = normals_from_encoded(
-                values, response, transfer, mask, self._options.inversion, frame.bits
-            )
-            return _result(seen, normal_map, 0.0)
-        clipped_share = float(np.count_nonzero(linear.clipped)) / linear.clipped.size
-        if self._gel is not None and self._dots is not None:
-            change, filled = self._dots.filled(linear.rgb, linear.clipped)
-            drift = drift_of_change(change, mask & ~filled)
-            normal_map = self._gel.normals(change, drift, mask)
-            if self._with_errors:
-                normal_map = self._gel.with_expected_error(normal_map)
-            return _result(seen, normal_map, clipped_share)
-        labels, lamps, has_shadows = None, None, self._options.shadows is not ShadowMethod.NONE
-        level = linear
-        if self._leveller is not None and (has_shadows or self._with_errors):
-            level = self._leveller.frame(linear, box_of(mask))
-        if has_shadows:
-            normal_map, labels, lamps = self._normals_under_shadow(linear, level, mask)
-        else:
-            normal_map = normals_from_frame(linear, self._rig.response, mask, options=self._options.inversion)
-        if self._with_errors:
-            response = self._central if lamps is None else lamps.separated
-            normal_map = expected_error.with_expected_error(
-                normal_map, level, response, None if lamps is None else labels, self.camera, residual_deg,
-                self._blur_px, self._residual_of_pixels,
-            )  # fmt: skip
-            if seen.turned_deg is not None:
-                normal_map = expected_error.with_doubt(normal_map, seen.turned_deg)
-        return _result(seen, normal_map, clipped_share, labels, lamps)
+        mask = self.lit_subject(linear, mask)
+        before = carried.labels or LabelState(statistics=carried.statistics)
+        labels, carried.labels = self._labeller.labels(linear, mask, before)
+        return mask, linear, labels
 
-    def unlit_by_lamp(self, frame: EncodedFrame, matte: Mask | None = None) -> list[FloatArray]:
-        """Return for each lamp (n, 3), what tells its direction: see `shadows/lamp_directions.py`."""
-        self._look_inside(matte)
-        linear = self.linear(frame)
-        level = linear if self._leveller is None else self._leveller.frame(linear)
-        labels, mask, _ = self._shadows(linear, level, self._mask)
-        return unlit_by_lamp(level, labels, self._central, mask)
-
-    def _shadows(
-        self, linear: LinearFrame, frame: LinearFrame, mask: Mask
-    ) -> tuple[VisibilityLabels, Mask, LinearFrame]:
-        """Return labels, where they hold, and what they were found in. frame: as the central M forms it."""
-        inversion, seen = self._options.inversion, self.by_strength(linear, box_of(mask))
-        darkest = inversion.darkest * inversion.relative_albedo
-        mask = brighter_than(frame, self._central, darkest, mask)
-        if inversion.clipped_factor == 0.0:
-            mask &= ~frame.clipped
-        return self._detector.labels(seen, mask), mask, seen
-
-    def _normals_under_shadow(
-        self, linear: LinearFrame, frame: LinearFrame, mask: Mask
-    ) -> tuple[NormalMap, VisibilityLabels, LampDirections | None]:
-        """Find shadows, then normals; lamps if by a surface. frame: `linear` as the central M forms it."""
-        response, inversion = self._central, self._options.inversion
-        labels, mask, seen = self._shadows(linear, frame, mask)
-        surface = self._detector.surface
-        if surface is None and not np.any(labels != ALL_LIT):
-            return normals_from_frame(frame, response, mask, options=inversion), labels, None
-        lamps = directions_from_shadows(frame, labels, self._rig.response, mask)
-        is_same = (response.light_colours is None) is (lamps.separated.light_colours is None)
-        if surface is not None and not (is_same and seen is frame):
-            surface = replace(surface, image=None)
-        found = recover_surface(frame, labels, lamps.separated, mask, self.camera, start=surface)
-        return found.normal_map, labels, lamps
-
-    def by_strength(self, linear: LinearFrame, box: Box | None = None) -> LinearFrame:
-        """Return a linear frame with every lamp as strong as at the image's centre.
-
-        box: rows and columns that count; beyond them all is 0. None for all.
-        """
-        return linear if self._leveller is None else self._leveller.frame_by_strength(linear, box)
-
-    def lit_subject(self, linear: LinearFrame) -> Mask:
-        """Return (h, w), the pixels of interest without the backdrop, whose noise is like dark paint."""
-        sampled = LinearFrame(rgb=linear.rgb[_SAMPLES], clipped=linear.clipped[_SAMPLES])
-        try:
-            albedo = relative_albedo_from_frame(sampled, self._central, self._mask[_SAMPLES])
-        except BadInput:  # all is black
-            return np.zeros_like(self._mask)
-        return brighter_than(linear, self._central, self._options.inversion.darkest * albedo, self._mask)
-
-    @property
-    def mask(self) -> Mask:
-        """(h, w), pixels of interest of the last frame."""
-        return self._mask
+    def _mask_of(self, matte: Mask | None) -> Mask:
+        return self.whole_mask if matte is None else self.whole_mask & self._resampler.mask(matte)
 
     def linear(self, frame: EncodedFrame) -> LinearFrame:
         """Decode a frame to linear light, background removed, lens distortion taken out."""
@@ -351,20 +221,133 @@ class FrameProcessor:
     def _is_plain(self, frame: EncodedFrame) -> bool:
         """True where the kernel that decodes and inverts in one pass may be used."""
         integers = frame.values.dtype in (np.uint8, np.uint16)
-        plain = self._options.shadows is ShadowMethod.NONE and self._background is None
-        plain = plain and self._labeller is None
+        plain = self._shadows is None and self._background is None and not self._materials
         return integers and plain and not self._resampler.changes_frames
 
-    def _integrated(self, result: FrameResult) -> DepthMap:
+    def by_strength(self, linear: LinearFrame, box: Box | None = None) -> LinearFrame:
+        """Return a linear frame with every lamp as strong as at the image's centre.
+
+        box: rows and columns that count; beyond them all is 0. None for all.
+        """
+        return linear if self._leveller is None else self._leveller.frame_by_strength(linear, box)
+
+    def lit_subject(self, linear: LinearFrame, mask: Mask | None = None) -> Mask:
+        """Return (h, w), the pixels of interest without the backdrop, whose noise is like dark paint."""
+        from vntoolkit.shadows.contributions import brighter_than
+
+        mask = self.whole_mask if mask is None else mask
+        sampled = LinearFrame(rgb=linear.rgb[_SAMPLES], clipped=linear.clipped[_SAMPLES])
+        try:
+            albedo = relative_albedo_from_frame(sampled, self._central, mask[_SAMPLES])
+        except BadInput:  # all is black
+            return np.zeros_like(mask)
+        return brighter_than(linear, self._central, self._options.inversion.darkest * albedo, mask)
+
+    # Linear RGB → normals. Frames come in any order, several at a time.
+
+    def normals(self, prepared: PreparedFrame) -> FrameResult:
+        """Return normals, and visibility labels where shadows are looked for."""
+        result = self._normals(prepared)
+        if not result.normal_map.mask.any():
+            raise BadCapture(
+                f"{prepared.frame.name}: no usable pixel: all are black, clipped or outside the mask; "
+                "look at exposure, mask and rig"
+            )
+        return result
+
+    def _normals(self, prepared: PreparedFrame) -> FrameResult:
+        linear, mask = prepared.linear, prepared.mask
+        if linear is None:
+            return self._plain_normals(prepared)
+        clipped_share = float(np.count_nonzero(linear.clipped)) / linear.clipped.size
+        if self._gel is not None:
+            return _result(prepared, self._gel.normals(linear, mask), clipped_share)
+        labels, lamps, level = None, None, linear
+        if self._leveller is not None and (self._shadows is not None or self._with_errors):
+            level = self._leveller.frame(linear, _box_of(mask))
+        if self._shadows is not None:
+            by_strength = self.by_strength(linear, None if self._leveller is None else _box_of(mask))
+            normal_map, labels, lamps = self._shadows.normals(level, by_strength, mask)
+        else:
+            normal_map = normals_from_frame(linear, self._rig.response, mask, options=self._options.inversion)
+        if self._with_errors:
+            response = self._central if lamps is None else lamps.separated
+            normal_map = expected_error.with_expected_error(
+                normal_map, level, response, None if lamps is None else labels, self.camera,
+                self._residual_deg, self._blur_px, self._residual_of_pixels,
+            )  # fmt: skip
+            if prepared.turned_deg is not None:
+                normal_map = expected_error.with_doubt(normal_map, prepared.turned_deg)
+        result = _result(prepared, normal_map, clipped_share)
+        return replace(result, labels=labels, lamps=lamps)
+
+    def _plain_normals(self, prepared: PreparedFrame) -> FrameResult:
+        """Decode and invert in one loop."""
+        frame, response, inversion = prepared.frame, self._rig.response, self._options.inversion
+        if not self._with_errors:
+            normal_map = normals_from_encoded(
+                frame.values, response, self._rig.transfer, prepared.mask, inversion, frame.bits
+            )
+            return _result(prepared, normal_map, 0.0)
+        normal_map, clipped_share = expected_error.normals_and_errors_from_encoded(
+            frame.values, response, self._rig.transfer, prepared.mask, camera=self.camera,
+            options=inversion, bits=frame.bits, residual_deg=self._residual_deg,
+            blur_px=self._blur_px, residual_of_pixels=self._residual_of_pixels,
+        )  # fmt: skip
+        return _result(prepared, normal_map, clipped_share)
+
+    def unlit_by_lamp(self, frame: EncodedFrame, matte: Mask | None = None) -> list[FloatArray]:
+        """Return for each lamp (n, 3), what shadows tell of its direction."""
+        assert self._shadows is not None
+        linear, mask = self.linear(frame), self._mask_of(matte)
+        level = linear if self._leveller is None else self._leveller.frame(linear)
+        by_strength = self.by_strength(linear, None if self._leveller is None else _box_of(mask))
+        return self._shadows.unlit_by_lamp(level, by_strength, mask)
+
+    # Normals → depth → mesh. Frames come in order.
+
+    def with_surface(self, result: FrameResult, frame: EncodedFrame, carried: Carried) -> FrameResult:
+        """Return the result with depth and mesh, as far as the options say.
+
+        Another thread may work on it while this one finds the next frame's normals.
+        """
+        if self._options.to is Product.NORMALS:
+            return result
+        depth_map, contact = self._depth(result, carried), None
+        if self._gel is not None:
+            depth_map, contact = self._gel.contact(depth_map, self.camera)
+        result = replace(result, depth_map=depth_map, contact=contact)
+        if self._options.to is not Product.MESH:
+            return result
+        from vntoolkit.meshing.surface import mesh_from_depth
+
+        mesh = mesh_from_depth(
+            depth_map,
+            self.camera,
+            rgb=self._displayed(frame, result.materials),
+            normal_map=result.normal_map,
+            options=self._options.meshing,
+        )
+        return replace(result, mesh=mesh)
+
+    def _integrated(self, result: FrameResult, carried: Carried) -> DepthMap:
+        from vntoolkit.integration.cast_shadows import steps_from_shadows
+        from vntoolkit.integration.integrate import DepthIntegrator
+        from vntoolkit.integration.slopes import rays_from_camera
+
+        carried.integrator = carried.integrator or DepthIntegrator(self.camera, self._options.integration)
         steps, lamps = None, result.lamps
         if lamps is not None and result.labels is not None:
-            steps = steps_from_shadows(result.normal_map, result.labels, lamps.at, lamps.doubts, self._rays)
-        return self._integrator.integrate(result.normal_map, steps)
+            rays = rays_from_camera(self.camera)
+            steps = steps_from_shadows(result.normal_map, result.labels, lamps.at, lamps.doubts, rays)
+        return carried.integrator.integrate(result.normal_map, steps)
 
-    def _depth(self, result: FrameResult) -> DepthMap:
-        normal_map, depth_map = result.normal_map, self._integrated(result)
-        if self._anchor is not None and self._gel is None:  # a gel rests at 0 in every frame
-            depth_map = self._anchor.align(depth_map, self._integrator.parts)
+    def _depth(self, result: FrameResult, carried: Carried) -> DepthMap:
+        from vntoolkit.integration.expected_error import with_expected_depth_error
+
+        normal_map, depth_map = result.normal_map, self._integrated(result, carried)
+        if carried.anchor is not None and carried.integrator is not None and self._gel is None:
+            depth_map = carried.anchor.align(depth_map, carried.integrator.parts)  # a gel rests at 0
         if self._with_errors and normal_map.error_deg is not None:
             depth_map = with_expected_depth_error(depth_map, normal_map, self.camera)
         if depth_map.unit is LengthUnit.FREE and self._options.distance_m is not None:
@@ -375,7 +358,12 @@ class FrameProcessor:
     def _displayed(self, frame: EncodedFrame, materials: MaterialLabels | None) -> Colours:
         """The mesh's colour, 0 to 1: of its materials where known, else the frame as a person sees it."""
         if materials is not None:
-            return np.asarray(self._paints[materials], dtype=np.float32)
+            from vntoolkit.materials.relighting import colours_of
+
+            reflectances = np.array([each.reflectance for each in self._materials], dtype=np.float64)
+            linear = colours_of(reflectances, self._central)
+            paints = encoded_from_linear(linear, Transfer(curve=TransferCurve.SRGB))
+            return np.asarray(paints[materials], dtype=np.float32)
         shown = np.asarray(frame.values, dtype=np.float32)
         if frame.values.dtype in (np.uint8, np.uint16):
             shown = shown / np.float32(2**frame.bits - 1)
@@ -385,20 +373,16 @@ class FrameProcessor:
         return self._resampler.frame(LinearFrame(rgb=shown, clipped=nothing)).rgb
 
 
-def _result(
-    seen: SeenFrame,
-    normal_map: NormalMap,
-    clipped_share: float,
-    labels: VisibilityLabels | None = None,
-    lamps: LampDirections | None = None,
-) -> FrameResult:
+def _box_of(mask: Mask) -> Box:
+    from vntoolkit.materials.split_frame import box_of
+
+    return box_of(mask)
+
+
+def _result(prepared: PreparedFrame, normal_map: NormalMap, clipped_share: float) -> FrameResult:
     return FrameResult(
-        number=seen.frame.number,
+        number=prepared.frame.number,
         normal_map=normal_map,
-        depth_map=None,
-        labels=labels,
-        mesh=None,
         clipped_share=clipped_share,
-        materials=seen.materials,
-        lamps=lamps,
+        materials=prepared.materials,
     )

@@ -1,7 +1,7 @@
 """The subject's materials, measured once on the first frames of a run."""
 
 import logging
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,8 +9,6 @@ from scipy.ndimage import gaussian_filter
 
 from vntoolkit.arrays import FloatArray, Mask, Vector3
 from vntoolkit.errors import BadCapture, BadInput
-from vntoolkit.io.footage.captures import Capture
-from vntoolkit.io.footage.mattes import Mattes
 from vntoolkit.io.results.manifest import MaterialEntry
 from vntoolkit.materials.labelling import LabelState, MaterialLabeller
 from vntoolkit.materials.mixtures import MaterialLabels
@@ -24,13 +22,14 @@ from vntoolkit.materials.search import (
 )
 from vntoolkit.materials.split_frame import block_size
 from vntoolkit.normals.inversion import relative_albedo_from_frame
-from vntoolkit.options.reconstruction import MaterialSearch
+from vntoolkit.options.reconstruction import MaterialSearch, ReconstructOptions
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.levelling import leveller_of
 from vntoolkit.photometry.response import LightResponse, scaled_normals_from_rgb
-from vntoolkit.pipeline.block_work import ReconstructionJob, read_ahead
-from vntoolkit.pipeline.found_lamps import lamps_in_words
+from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline.frame_processor import FrameProcessor
+from vntoolkit.pipeline.request import Footage, seeks_materials
+from vntoolkit.pipeline.threads import read_ahead
 
 logger = logging.getLogger(__name__)
 _LOOKED_AT = 3  # frames …
@@ -83,37 +82,40 @@ class _FirstFrame:
 
 
 def first_frames(
-    job: ReconstructionJob, capture: Capture, mattes: Mattes, numbers: range
+    rig: Rig, options: ReconstructOptions, footage: Footage, numbers: Sequence[int]
 ) -> Iterator[_FirstFrame]:
     """Yield the first frame and, where materials are sought, some in which the subject has moved."""
-    there = [n for n in capture.present if n in numbers and not mattes.missing([n])]
+    there, capture = footage.usable(numbers), footage.capture
     step = max(1, min(_APART, (len(there) - 1) // (_LOOKED_AT - 1)))
-    numbers_seen = there[::step][: _LOOKED_AT if seeks_materials(job) else 1]
-    ahead = len(numbers_seen) if job.threads > 1 else 0
-    for encoded in read_ahead(map(capture.encoded, numbers_seen), ahead):
-        processor = FrameProcessor(job.rig, job.options, mattes.of(encoded), capture.background)
+    looked_at = there[::step][: _LOOKED_AT if seeks_materials(rig, options) else 1]
+    for encoded in read_ahead(map(capture.encoded, looked_at), len(looked_at)):
+        processor = FrameProcessor(rig, options, footage.mattes.of(encoded), capture.background)
         frame = processor.linear(encoded)
         yield _FirstFrame(
             name=encoded.name,
             frame=frame,
             by_strength=processor.by_strength(frame),
-            mask=processor.mask,
+            mask=processor.whole_mask,
             subject=processor.lit_subject(frame),
         )
 
 
 def measured_materials(
-    job: ReconstructionJob, capture: Capture, mattes: Mattes, numbers: range
+    rig: Rig,
+    options: ReconstructOptions,
+    footage: Footage,
+    numbers: Sequence[int],
+    lamps_in_words: str = "",
 ) -> MeasuredMaterials:
-    """Measure the materials, or how bright the rig's is.
+    """Measure the materials, or how bright the rig's is. lamps_in_words: what shadows did not tell of them.
 
     Logs a warning where the footage cannot tell, or is not of the calibration material though it counts as
     such. Raises `BadInput` where a number of materials is asked for that cannot be told, `BadCapture` where
     the first frame shows nothing.
     """
-    firsts = list(first_frames(job, capture, mattes, numbers))
-    response, choice = job.rig.response, job.options.materials
-    if seeks_materials(job):
+    firsts = list(first_frames(rig, options, footage, numbers))
+    response, choice = rig.response, options.materials
+    if seeks_materials(rig, options):
         levelled, subjects = zip(*((each.by_strength, each.subject) for each in firsts), strict=True)
         central = response.central
         first = levelled[0], subjects[0], central
@@ -134,23 +136,28 @@ def measured_materials(
         albedo = relative_albedo_from_frame(firsts[0].frame, response, firsts[0].mask)
     except BadInput as error:
         raise BadCapture(f"{firsts[0].name}: {error}") from error
-    _warn_of_other_material(job, firsts[0].frame, firsts[0].mask, albedo)
+    _warn_of_other_material(response, choice, firsts[0].frame, firsts[0].mask, albedo, lamps_in_words)
     short = float(np.format_float_positional(albedo, precision=4, fractional=False))
     return MeasuredMaterials(entries=[], relative_albedo=short)
 
 
 def refitted_materials(
-    job: ReconstructionJob, capture: Capture, mattes: Mattes, numbers: range, first: "LabelledFrame"
+    rig: Rig,
+    options: ReconstructOptions,
+    materials: Sequence[MaterialEntry],
+    footage: Footage,
+    numbers: Sequence[int],
+    first: "LabelledFrame",
 ) -> list[MaterialEntry]:
-    """Return the job's materials, fitted again to what the first frames show under lamps that are near.
+    """Return the materials, fitted again to what the first frames show under lamps that are near.
 
     The search takes the lamps' directions at the centre. With labels known, each pixel's own are taken.
     first: the first frame, labelled by the materials as they were measured.
     """
-    response, known = job.rig.response, np.array(job.reflectances)
+    response, known = rig.response, np.array([entry.reflectance for entry in materials])
     labeller, subjects = replace(first.labeller, reflectances=known), []
     far: list[LinearFrame] = []
-    for each in first_frames(job, capture, mattes, numbers):
+    for each in first_frames(rig, options, footage, numbers):
         labels = first.labels
         if far:
             told = LabelState(statistics=first.state.statistics)
@@ -164,14 +171,6 @@ def refitted_materials(
     labeller = replace(labeller, reflectances=values)
     seen = replace(first, frame=far[0], mask=subjects[0], labeller=labeller)
     return _entries(*_with_pigments(found, seen))
-
-
-def seeks_materials(job: ReconstructionJob) -> bool:
-    """True where the footage is asked for its materials, and the rig can tell them."""
-    choice = job.options.materials
-    if choice is MaterialSearch.AUTO:
-        return job.rig.response.light_colours is not None and job.rig.gel is None
-    return choice is not MaterialSearch.CALIBRATED
 
 
 def _told(found: list[Material], choice: MaterialSearch | int) -> list[Material]:
@@ -337,17 +336,24 @@ def _scatter_of_regions(lengths: FloatArray, lit: Mask) -> float:
     return 1.4826 * float(np.median(np.abs(smooth - np.median(smooth))))
 
 
-def _warn_of_other_material(job: ReconstructionJob, frame: LinearFrame, mask: Mask, albedo: float) -> None:
+def _warn_of_other_material(
+    response: LightResponse,
+    choice: MaterialSearch | int,
+    frame: LinearFrame,
+    mask: Mask,
+    albedo: float,
+    lamps_in_words: str,
+) -> None:
     lit = mask & ~frame.clipped
     step = block_size(lit, _JUDGED)
     rgb, lit = frame.rgb[::step, ::step], lit[::step, ::step]
     v, u = np.nonzero(lit)
-    scaled = scaled_normals_from_rgb(rgb[lit], job.rig.response, float(step) * np.stack([u, v], axis=-1))
+    scaled = scaled_normals_from_rgb(rgb[lit], response, float(step) * np.stack([u, v], axis=-1))
     length = np.linalg.norm(scaled, axis=1) / albedo
     bright = length > 0.3  # the rest is in shadow
     if not bright.any():
         return
-    light = rgb[lit] - job.rig.response.ambient
+    light = rgb[lit] - response.ambient
     reached = length[bright & (light > _LIT_SHARE * light.max(axis=1, keepdims=True)).all(axis=1)]
     facing = (scaled[bright] / length[bright, None]).mean(axis=0)
     tilt_deg = float(np.degrees(np.arccos(np.clip(-facing[2] / np.linalg.norm(facing), -1.0, 1.0))))
@@ -359,7 +365,7 @@ def _warn_of_other_material(job: ReconstructionJob, frame: LinearFrame, mask: Ma
             f"the lengths of its normals, which should be equal, spread by {100 * residual:.0f} % (expected "
             f"below {100 * _WORST_RESIDUAL:.0f})"
         )
-    elif off > _MOST_UNEXPLAINED and job.rig.response.light_colours is None:  # with colours, told before
+    elif off > _MOST_UNEXPLAINED and response.light_colours is None:  # with colours, told before
         wrong.append(
             f"the lengths of {100 * off:.0f} % of its normals are off by more than {100 * _WRONG_LENGTH:.0f} "
             f"% (expected in at most {100 * _MOST_UNEXPLAINED:.0f} %; gloss does this, too)"
@@ -371,11 +377,11 @@ def _warn_of_other_material(job: ReconstructionJob, frame: LinearFrame, mask: Ma
         )
     if wrong:
         remedy = (
-            f"{lamps_in_words(job.lamp_doubts_deg)}calibrate with one photograph per lamp (--single-light), "
+            f"{lamps_in_words}calibrate with one photograph per lamp (--single-light), "
             "so that --materials auto can tell them"
-            if job.rig.response.light_colours is None
+            if response.light_colours is None
             else "try --materials auto"
-            if job.options.materials is not MaterialSearch.AUTO
+            if choice is not MaterialSearch.AUTO
             else f"--materials auto found no others that explain them; {_REMEDY}"
         )
         logger.warning(

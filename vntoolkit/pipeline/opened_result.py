@@ -11,7 +11,6 @@ import numpy as np
 
 from vntoolkit.arrays import ByteArray, VisibilityLabels
 from vntoolkit.errors import BadCapture, BadInput, VntError
-from vntoolkit.evaluation.track_error import LOST_PX
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
 from vntoolkit.geometry.mesh import Mesh, MeshSequence
@@ -21,23 +20,28 @@ from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.maps_and_meshes.label_images import read_labels, read_materials
 from vntoolkit.io.maps_and_meshes.maps import read_depth_map, read_normal_map
 from vntoolkit.io.maps_and_meshes.meshes import read_mesh
+from vntoolkit.io.results.folder import numbers_on_disk
 from vntoolkit.io.results.frame_log import FrameEntry, FrameLog
-from vntoolkit.io.results.manifest import FindingEntry, Manifest, read_manifest, result_digest
-from vntoolkit.io.results.sequences import read_mesh_sequence
-from vntoolkit.io.rigs import rig_from_entry
+from vntoolkit.io.results.manifest import (
+    FRAME_FILES,
+    FindingEntry,
+    Manifest,
+    missing_files,
+    numbers_of_ranges,
+    read_manifest,
+    result_digest,
+    rig_of_result,
+)
 from vntoolkit.options.footage import Gaps
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import Transfer, TransferCurve, encoded_from_linear
 from vntoolkit.pipeline.options import sensor_from_values
 from vntoolkit.pipeline.outputs import ReconstructionFolder
-from vntoolkit.pipeline.tracked_folder import (
-    read_track_record,
-    uv_in_picture,
-)
+from vntoolkit.pipeline.tracked_folder import read_tracks, uv_in_picture
 
 logger = logging.getLogger(__name__)
-Content = TypeVar("Content")
+Map = TypeVar("Map", NormalMap, DepthMap, ByteArray)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -88,33 +92,70 @@ class OpenedResult:
         """What was logged of each frame, skipped ones too."""
         return FrameLog(self.folder.root).entries()
 
+    @cached_property
+    def findings(self) -> list[FindingEntry]:
+        """What was found wrong, the gravest first: by the run, and with its files since."""
+        manifest = self.manifest
+        found = [*manifest.known.findings, *manifest.findings]
+        if not manifest.finished:
+            text = "the run was not finished: the same command goes on where it stopped"
+            found.append(FindingEntry(check="unfinished", level="warning", text=text))
+        gone = missing_files(self.folder.root, manifest, range(manifest.input.frame_count))
+        found += [FindingEntry(check="incomplete", level="warning", text=text) for text in gone]
+        return sorted(found, key=lambda finding: ("fatal", "warning", "note").index(finding.level))
+
     @property
     def lacks_background(self) -> bool:
         """Whether a background was subtracted that is not at hand now, so that `linear` holds it."""
         return "background" in self.manifest.extra_files and self.background is None
 
+    @cached_property
+    def frames_to_track(self) -> tuple[int, ...]:
+        """The frames asked for, up to the last that has normals and depth. Raises `BadInput` for none."""
+        manifest, root = self.manifest, self.folder.root
+        asked = numbers_of_ranges(manifest.known.frames or [manifest.frames], manifest.input.frame_count)
+        present = [n for n in asked if self.folder.has(n, "normals", "depth")]
+        if not present:
+            raise BadInput(
+                f"{root}: no frame has both normals and depth; run `vntoolkit reconstruct --to depth`"
+            )
+        return tuple(asked[: asked.index(present[-1]) + 1])
+
     def normals(self, number: int) -> NormalMap:
-        """Read a frame's normals."""
-        return read_normal_map(self.folder.file("normals", number))
+        """Read a frame's normals. Raises `BadInput`, as the others do, for a map of another size."""
+        path = self.folder.file("normals", number)
+        return self._of_camera_size(path, read_normal_map(path))
 
     def depth(self, number: int) -> DepthMap | None:
         """Read a frame's depth."""
-        return self._read("depth", number, read_depth_map)
+        return self._read_map("depth", number, read_depth_map)
 
     def labels(self, number: int) -> VisibilityLabels | None:
         """Read a frame's visibility labels."""
-        return self._read("shadows", number, read_labels)
+        return self._read_map("shadows", number, read_labels)
 
     def materials(self, number: int) -> ByteArray | None:
         """Read the number of the material of each pixel; None where the subject is of the rig's alone."""
-        return self._read("materials", number, read_materials)
+        return self._read_map("materials", number, read_materials)
 
     def mesh(self, number: int) -> Mesh | None:
         """Read a frame's own mesh, before registration."""
-        return self._read("mesh", number, read_mesh)
+        path = self.folder.file("mesh", number)
+        return read_mesh(path) if path.exists() else None
 
-    def _read(self, kind: str, number: int, reader: Callable[[Path], Content]) -> Content | None:
-        return reader(self.folder.file(kind, number)) if self.folder.has(number, kind) else None
+    def _read_map(self, kind: str, number: int, reader: Callable[[Path], Map]) -> Map | None:
+        path = self.folder.file(kind, number)
+        return self._of_camera_size(path, reader(path)) if path.exists() else None
+
+    def _of_camera_size(self, path: Path, content: Map) -> Map:
+        height, width = content.shape
+        own = self.rig.camera
+        if (width, height) != (own.width, own.height):
+            raise BadInput(
+                f"{path}: {width}×{height} pixels, but the camera has {own.width}×{own.height}; "
+                "remove it and run `vntoolkit reconstruct` again: it makes what is missing"
+            )
+        return content
 
     @cached_property
     def length_unit(self) -> LengthUnit | None:
@@ -129,22 +170,22 @@ class OpenedResult:
         root = self.folder.root / "track"
         if not (root / "track.json").exists():
             return None
-        record, sequence = read_track_record(root), read_mesh_sequence(root)
-        if record.get("result_sha256", self.digest) != self.digest:
+        tracks = read_tracks(root)
+        if tracks.record.get("result_sha256", self.digest) != self.digest:
             logger.warning(
                 "%s: follows an earlier reconstruction and is left out; run `vntoolkit track %s --overwrite`",
                 root,
                 self.folder.root,
             )
             return None
-        numbers, template = tuple(record["frames"][: len(sequence)]), record["template"]
-        if template not in numbers:
+        vertices, sequence = tracks.template_vertices, tracks.sequence
+        if vertices is None:
             return None
-        # the template's own picture is its texture
-        uv = uv_in_picture(self.camera, np.array(sequence.vertices[numbers.index(template)]))
+        uv = uv_in_picture(self.camera, vertices)  # the template's own picture is its texture
         textured = replace(sequence, template=replace(sequence.template, uv=uv))
-        lost_px = record.get("lost_px", LOST_PX)
-        return TrackedSurface(sequence=textured, numbers=numbers, template=template, lost_px=lost_px)
+        return TrackedSurface(
+            sequence=textured, numbers=tracks.numbers, template=tracks.template, lost_px=tracks.lost_px
+        )
 
     def linear(self, number: int) -> LinearFrame:
         """Return the captured frame in linear light, background removed and undistorted."""
@@ -216,14 +257,25 @@ def read_result(folder: Path | str) -> OpenedResult:
 
 
 def open_result(
-    root: Path, *, frames: FrameRange | None = None, footage: str = "", background: Path | None = None
+    root: Path,
+    *,
+    frames: FrameRange | None = None,
+    footage: str = "",
+    background: Path | None = None,
+    says_missing: bool = True,
 ) -> OpenedResult:
-    """Open a folder that `reconstruct` wrote; frames: only those of them. Raises `BadInput`."""
+    """Open a folder that `reconstruct` wrote; frames: only those of them. Raises `BadInput`.
+
+    Says which frames are recorded as done while their files are gone. says_missing: False where that was
+    said before.
+    """
     manifest = read_manifest(root)
-    folder = ReconstructionFolder(root=root)
     wanted = (frames or FrameRange()).numbers(manifest.input.frame_count)
+    if says_missing:
+        for line in missing_files(root, manifest, wanted):
+            logger.warning("%s: incomplete: %s", root, line)
     # a folder may hold frames of an earlier, longer run: those count too
-    present = sorted({int(path.stem) for path in (root / "normals").glob("*.exr") if path.stem.isdigit()})
+    present = numbers_on_disk(root / "normals", FRAME_FILES["normals"])
     numbers = tuple(number for number in present if number in wanted)
     if not numbers:
         held = (
@@ -231,9 +283,9 @@ def open_result(
         )
         raise BadInput(f"{root}: holds none of the frames {(frames or FrameRange()).to_text()}; {held}")
     return OpenedResult(
-        folder=folder,
+        folder=ReconstructionFolder(root=root),
         manifest=manifest,
-        rig=rig_from_entry(manifest.rig),
+        rig=rig_of_result(manifest),
         numbers=numbers,
         footage=footage,
         background=background,

@@ -1,7 +1,10 @@
 """What one frame became, and the files of a reconstruction: their paths, and the writing of a frame."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from vntoolkit.arrays import VisibilityLabels
 from vntoolkit.geometry.maps import DepthMap, NormalMap
@@ -9,15 +12,12 @@ from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.io.maps_and_meshes.label_images import write_labels, write_mask, write_materials
 from vntoolkit.io.maps_and_meshes.maps import write_depth_map, write_normal_map
 from vntoolkit.io.maps_and_meshes.meshes import write_mesh
-from vntoolkit.materials.mixtures import MaterialLabels
-from vntoolkit.pipeline.contact import Contact
-from vntoolkit.shadows.lamp_directions import LampDirections
+from vntoolkit.io.results.manifest import FRAME_FILES
 
-# folder -> suffix of a frame's file in it
-FRAME_FILES = {
-    "normals": ".exr", "depth": ".exr", "mesh": ".ply",
-    "shadows": ".png", "contact": ".png", "materials": ".png",
-}  # fmt: skip
+if TYPE_CHECKING:
+    from vntoolkit.materials.mixtures import MaterialLabels
+    from vntoolkit.pipeline.contact import Contact
+    from vntoolkit.shadows.lamp_directions import LampDirections
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -30,10 +30,10 @@ class FrameResult:
 
     number: int
     normal_map: NormalMap
-    depth_map: DepthMap | None
-    labels: VisibilityLabels | None
-    mesh: Mesh | None
     clipped_share: float
+    depth_map: DepthMap | None = None
+    labels: VisibilityLabels | None = None
+    mesh: Mesh | None = None
     contact: Contact | None = None
     materials: MaterialLabels | None = None
     lamps: LampDirections | None = None

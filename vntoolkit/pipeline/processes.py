@@ -1,4 +1,4 @@
-"""Work shared out to processes of this machine: the results do not depend on how many there are."""
+"""Work in processes of this machine: the results do not depend on how many there are."""
 
 import contextlib
 import itertools
@@ -18,13 +18,13 @@ Result = TypeVar("Result")
 Work = Callable[[Item], Iterable[Result]]
 _AHEAD = 2  # items submitted for each process: one at work, one ready
 _kept: dict[int, ProcessPoolExecutor] | None = None  # pools by their size, while they are kept
-_numbers = itertools.count()  # of what was shared out
+_numbers = itertools.count()  # of the calls of `map_in_processes`
 # Of this process, where it is a worker: how many threads it may use, the work begun last and its number.
 _threads = 1
 _begun: tuple[int, Work[Any, Any]] | None = None
 
 
-def shared_out(
+def map_in_processes(
     begin: Callable[[int | None], Work[Item, Result]], items: Iterable[Item], jobs: int
 ) -> Generator[Result]:
     """Yield what the work makes of each item; the results of one item in order, items as they finish.
@@ -59,7 +59,7 @@ def shared_out(
 
 @contextlib.contextmanager
 def processes_kept() -> Iterator[None]:
-    """Let the work that is shared out in the block, one after the other, use the same processes.
+    """Let the calls of `map_in_processes` in the block use the same processes.
 
     A process takes two seconds to import what it needs and to load the compiled loops.
     """

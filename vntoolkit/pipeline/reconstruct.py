@@ -1,59 +1,38 @@
 """Reconstruction of a capture: normals, depth, meshes; resumable, in one process or many."""
 
-import contextlib
 import logging
+import os
 import time
-from collections.abc import Callable, Generator, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Generator, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from vntoolkit.arrays import Mask
-from vntoolkit.diagnosis.finding import Finding, judge
-from vntoolkit.diagnosis.inspection import Examination, examine_capture
-from vntoolkit.errors import BadCapture, BadInput, VntError
-from vntoolkit.io.atomic import remove_numbered, require_apart, sole_writer, write_text
-from vntoolkit.io.footage.captures import Capture, CaptureInfo
+from vntoolkit.errors import BadInput
+from vntoolkit.io.atomic import remove_leftovers, require_apart, write_text
+from vntoolkit.io.footage.captures import CaptureInfo
 from vntoolkit.io.footage.frame_range import FrameRange
-from vntoolkit.io.footage.mattes import Mattes, require_mattes
+from vntoolkit.io.footage.mattes import require_mattes
 from vntoolkit.io.footage.sequence import text_of_names
 from vntoolkit.io.results import manifest as manifests
-from vntoolkit.io.results.frame_log import FRAMES_NAME, FrameEntry, FrameLog
+from vntoolkit.io.results.folder import begin_run, numbers_in_words, require_same_request, write_lock
+from vntoolkit.io.results.frame_log import FrameEntry, FrameLog
+from vntoolkit.io.results.manifest import FindingEntry, Known, Manifest
 from vntoolkit.io.rigs import entry_from_rig
-from vntoolkit.materials.labelling import LabelState, MaterialLabeller
-from vntoolkit.materials.mixtures import near_seams
-from vntoolkit.materials.relighting import relit
-from vntoolkit.options.footage import Gaps, MatteOptions, SensorOptions
-from vntoolkit.options.normals import ShadowMethod
-from vntoolkit.options.reconstruction import MaterialSearch
-from vntoolkit.photometry.frame import LinearFrame
-from vntoolkit.photometry.response import with_near_lamps
-from vntoolkit.pipeline.block_work import Block, BlockWorker, ReconstructionJob
-from vntoolkit.pipeline.cluster import require_scheduler, run_blocks_on_cluster
-from vntoolkit.pipeline.found_lamps import with_found_lamps
-from vntoolkit.pipeline.frame_processor import FrameProcessor
-from vntoolkit.pipeline.measured_materials import (
-    MeasuredMaterials,
-    measured_materials,
-    refitted_materials,
-    seeks_materials,
-)
-from vntoolkit.pipeline.options import SENSOR_PREFIX, option_values
-from vntoolkit.pipeline.outputs import FRAME_FILES
-from vntoolkit.pipeline.processes import shared_out
+from vntoolkit.options.footage import Gaps
+from vntoolkit.pipeline.frame_blocks import Block, begin_blocks
+from vntoolkit.pipeline.prepare import prepare
+from vntoolkit.pipeline.processes import map_in_processes
+from vntoolkit.pipeline.recorded_findings import recorded_warnings, without_repeats
+from vntoolkit.pipeline.request import Footage, Request
 
 logger = logging.getLogger(__name__)
 Started = Callable[[int, int], None]
 Finished = Callable[[FrameEntry], None]
-Workers = Callable[[ReconstructionJob, list[Block]], Generator[FrameEntry]]
 BLOCK_FRAMES = 16
 _LARGE_ERROR_DEG = 20.0  # in the median, as of pixels that one light hardly reaches
-_DIGITS_OF_NEARNESS = 4
-_DIGITS_OF_BLUR = 2
-_SEAM_PX = 2  # to either side of a seam, where pixels are not judged: blur mixes two materials in them
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,7 +69,7 @@ class ReconstructionSummary:
 
 
 def reconstruct(
-    job: ReconstructionJob,
+    request: Request,
     *,
     frames: FrameRange | None = None,
     jobs: int = 1,
@@ -99,245 +78,194 @@ def reconstruct(
     on_start: Started = lambda total, done: None,
     on_frame: Finished = lambda record: None,
 ) -> ReconstructionSummary:
-    """Reconstruct the chosen frames of a capture into `job.folder`; go on where an earlier run stopped.
+    """Reconstruct the chosen frames of a capture into `request.folder`; go on where an earlier run stopped.
 
-    jobs: worker processes on this machine. scheduler: address of a Dask scheduler whose workers do the work
-    instead, or "local" for `jobs` workers of one that is started here; the output is the same to the byte.
-    on_start is called once with the number of frames and how many are on disk already, on_frame after each
-    further one. Raises the kinds of `VntError` that bad input deserves, before anything is written where
-    that can be known, and `CannotWrite` while another run is at work in the folder.
+    What holds for the whole capture is prepared once; then every frame goes from video to linear RGB,
+    normals, depth and a mesh (`FrameProcessor.process`), in `jobs` processes of this machine, or of a Dask
+    `scheduler`: its address, or "local" for `jobs` workers that are started here. The files are the same to
+    the byte. on_start is called once with the number of frames and how many are on disk already, on_frame
+    after each further one. Raises the kinds of `VntError` that bad input deserves, before anything is written
+    where that can be known, and `CannotWrite` while another run is at work in the folder.
     """
-    frames, root = frames or FrameRange(), job.folder.root
+    frames, started = frames or FrameRange(), time.perf_counter()
+    footage = _checked_footage(request, frames, jobs, scheduler)
+    with write_lock(request.folder.root), recorded_warnings() as warnings:
+        run = _begun(request, footage, frames, overwrite)
+        on_start(len(run.numbers), len(run.resumed))
+        for entry in run.missing:
+            run.log.append(entry)
+            on_frame(entry)
+        made = _made_frames(run, jobs, scheduler, on_frame)
+        seconds = time.perf_counter() - started
+        return _ended(run, footage, frames, made, warnings, seconds)
+
+
+def _checked_footage(request: Request, frames: FrameRange, jobs: int, scheduler: str | None) -> Footage:
+    """Open footage and mattes; raise for what is wrong with the request, before anything is written."""
     if jobs < 1:
         raise BadInput(f"jobs: expected 1 or more, got {jobs}")
-    started = time.perf_counter()
-    capture = job.open_capture()
-    job.rig.require_background(job.background is not None)
-    job.rig.require_size(capture.info.width, capture.info.height, job.source)
-    given = job.rig.response.light_colours
-    numbers = frames.numbers(capture.info.frame_count)
-    asked = frames.numbers(capture.info.promised_frame_count)
-    mattes = job.open_mattes(capture)
-    if job.gaps is Gaps.REFUSE:
-        require_mattes(mattes, (n for n in capture.present if n in numbers), job.mask)
-    inputs = (*capture.info.files, *mattes.files, job.background)
-    require_apart(inputs, (root / name for name in FRAME_FILES))
+    footage, root = request.open_footage(), request.folder.root
+    info, mattes = footage.capture.info, footage.mattes
+    request.rig.require_background(request.background is not None)
+    request.rig.require_size(info.width, info.height, request.source)
+    numbers = frames.numbers(info.frame_count)
+    if request.gaps is Gaps.REFUSE:
+        require_mattes(mattes, (n for n in footage.capture.present if n in numbers), request.mask)
+    inputs = (*info.files, *mattes.files, request.background)
+    require_apart(inputs, (root / name for name in manifests.FRAME_FILES))
     if scheduler is not None:
+        from vntoolkit.pipeline.cluster import require_scheduler
+
         require_scheduler(scheduler)
-    if capture.info.left_out:
-        names = text_of_names([path.name for path in capture.info.left_out])
-        logger.warning("%s: left out, since the frames are named otherwise: %s", job.source, names)
-    missing = _missing_frames(capture, mattes, numbers)
-    examined = Examination(findings=[])
-    if not seeks_materials(job):
-        examined = _require_plausible(job, capture, mattes, numbers)
-    with sole_writer(root):
-        job, manifest, log = _prepared(job, capture, mattes, frames, overwrite, examined)
-        on_disk = {number for number in log.done() if job.folder.has(number, *job.folders)}
-        on_start(len(numbers), len(on_disk & set(numbers)))
-        for record in missing:
-            log.append(record)
-            on_frame(record)
-        records = _run(job, numbers, on_disk, _workers(jobs, scheduler), log, on_frame)
-        seconds = time.perf_counter() - started
-        error_deg = _finish(root, manifest, log, numbers, seconds)
-    failed = [record for record in records if record.failure]
-    skipped = tuple(sorted([*missing, *failed], key=lambda record: record.number))
-    return ReconstructionSummary(
-        folder=root,
-        frames=len(numbers),
-        resumed=len(on_disk & set(numbers)),
-        done=len(records) - len(failed),
-        skipped=skipped,
-        seconds=seconds,
-        lost=len(asked) - len(numbers),
-        declared=capture.info.promised_frame_count,
-        came=capture.info.frame_count,
-        error_deg=error_deg,
-        found_lamps=given is None and job.rig.response.light_colours is not None,
+    if info.left_out:
+        names = text_of_names([path.name for path in info.left_out])
+        logger.warning("%s: left out, since the frames are named otherwise: %s", request.source, names)
+    return footage
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Run:
+    """A run whose manifest is written. numbers: frames to have in the end. on_disk: those that are there."""
+
+    request: Request
+    known: Known
+    manifest: Manifest
+    log: FrameLog
+    numbers: tuple[int, ...]
+    on_disk: frozenset[int]
+    missing: list[FrameEntry]
+
+    @property
+    def resumed(self) -> frozenset[int]:
+        """Frames of this run that were there before."""
+        return self.on_disk.intersection(self.numbers)
+
+
+def _begun(request: Request, footage: Footage, frames: FrameRange, overwrite: bool) -> _Run:
+    """Prepare, or go on with what an earlier run prepared; write the manifest into a folder that is free.
+
+    What was found holds for the frames that it was found among. If more are asked for, it is found again; if
+    that changes it, frames from before are made again, so that a result does not depend on the first try.
+    """
+    root, count = request.folder.root, footage.capture.info.frame_count
+    manifest = manifest_of_request(request, footage, frames)
+    goes_on = require_same_request(root, manifests.RECONSTRUCTION, manifest, overwrite=overwrite)
+    earlier = manifests.read_manifest(root).known if goes_on else None
+    covered = _covered(earlier, frames, count)
+    if earlier is not None and covered == earlier.frames:
+        known = earlier
+        for finding in known.findings:
+            say = logger.info if finding.level == "note" else logger.warning
+            say("%s%s", "note: " if finding.level == "note" else "", finding.text)
+    else:
+        with recorded_warnings() as warnings:
+            known = prepare(request, footage, manifests.numbers_of_ranges(covered, count))
+        findings = without_repeats(known.findings, warnings)
+        known = known.model_copy(update={"frames": covered, "findings": findings})
+    log, again = FrameLog(root), set[int]()
+    if earlier is not None and known.shapes() != earlier.shapes():
+        again = set(log.done())
+        logger.warning(
+            "more frames are asked for than before (%s), and among them lamps, materials or blur are found "
+            "to be others: %s from before are made again", ", ".join(earlier.frames), numbers_in_words(again),
+        )  # fmt: skip
+    manifest = manifest.model_copy(update={"known": known, "outputs": request.folders_with(known)})
+    begin_run(root, manifests.RECONSTRUCTION, manifest, overwrite=overwrite or bool(again))
+    numbers = tuple(sorted(again.union(frames.numbers(count))))
+    return _Run(
+        request=request,
+        known=known,
+        manifest=manifest,
+        log=log,
+        numbers=numbers,
+        on_disk=frozenset(n for n in log.done() if request.folder.has(n, *manifest.outputs)),
+        missing=_missing_frames(footage, numbers),
     )
 
 
-def _prepared(
-    job: ReconstructionJob,
-    capture: Capture,
-    mattes: Mattes,
-    frames: FrameRange,
-    overwrite: bool,
-    examined: Examination,
-) -> tuple[ReconstructionJob, manifests.Manifest, FrameLog]:
-    """Settle what a run does and write its manifest into a folder that is free. examined: told so far."""
-    root = job.folder.root
-    numbers = frames.numbers(capture.info.frame_count)
-    resumes = manifests.has_manifest(root) and not overwrite
-    earlier = manifests.read_manifest(root) if resumes else None
-    job = _with_lamps(job, capture, mattes, numbers, earlier)
-    job, measured = resolve_options(job, capture, mattes, numbers, earlier)
-    if seeks_materials(job):
-        state = LabelState() if measured.seen is None else measured.seen.state
-        examined = _require_plausible(job, capture, mattes, numbers, state)
-    job = _with_blur(_with_near_lamps(job, examined, earlier), examined, earlier)
-    materials = measured.entries
-    if earlier is None and measured.seen is not None and job.rig.response.variation is not None:
-        materials = refitted_materials(job, capture, mattes, numbers, measured.seen)
-        job = _of_materials(job, materials)
-    manifest = manifest_of_run(job, capture, mattes, frames, materials, examined.findings)
-    if resumes:
-        manifests.require_resumable(root, manifest)
-    if overwrite:
-        clear(root)
-    manifests.write_manifest(root, manifest)
-    return job, manifest, FrameLog(root)
+def _covered(earlier: Known | None, frames: FrameRange, count: int) -> list[str]:
+    """Return the frames, as ranges, that an earlier run and this one ask for together."""
+    asked = set(frames.numbers(count))
+    before = [] if earlier is None else earlier.frames
+    known = set(manifests.numbers_of_ranges(before, count))
+    if asked <= known:
+        return before
+    return [frames.to_text()] if known <= asked else [*before, frames.to_text()]
 
 
-def _with_lamps(
-    job: ReconstructionJob,
-    capture: Capture,
-    mattes: Mattes,
-    numbers: range,
-    earlier: manifests.Manifest | None,
-) -> ReconstructionJob:
-    """Return the job with the lamps' colours where shadows tell them; as an earlier run found them."""
-    if earlier is None:
-        return with_found_lamps(job, capture, mattes, numbers)
-    response, stored = job.rig.response, earlier.rig.response
-    if response.light_colours is not None or stored is None or stored.light_colours is None:
-        return job
-    kept = {name: getattr(stored, name) for name in ("light_colours", "light_doubts_deg")}
-    return replace(job, rig=replace(job.rig, response=replace(response, **kept)))
+def _missing_frames(footage: Footage, numbers: Sequence[int]) -> list[FrameEntry]:
+    why = dict.fromkeys(footage.mattes.missing(numbers), "no matte")
+    why.update({number: f"no file {name}" for number, name in footage.capture.info.missing.items()})
+    return [FrameEntry(number=number, failure=why[number]) for number in sorted(set(why) & set(numbers))]
 
 
-def _missing_frames(capture: Capture, mattes: Mattes, numbers: range) -> list[FrameEntry]:
-    why = dict.fromkeys(mattes.missing(numbers), "no matte")
-    why.update({number: f"no file {name}" for number, name in capture.info.missing.items()})
-    return [FrameEntry(number=number, failure=why[number]) for number in sorted(why) if number in numbers]
-
-
-def clear(root: Path) -> None:
-    """Remove what the manifest and the log of a folder tell that `reconstruct` wrote, and nothing else."""
-    if not manifests.has_manifest(root):
-        return
-    numbers = set(FrameLog(root).entries())
-    with contextlib.suppress(VntError):  # a manifest that is no longer readable
-        numbers.update(range(manifests.read_manifest(root).input.frame_count))
-    for name, suffix in FRAME_FILES.items():
-        remove_numbered(root / name, suffix, numbers)
-    (root / FRAMES_NAME).unlink(missing_ok=True)
-    (root / "contact.csv").unlink(missing_ok=True)
-    (root / manifests.MANIFEST_NAME).unlink()
-
-
-def _workers(jobs: int, scheduler: str | None) -> Workers:
-    if scheduler is None:
-        return lambda job, blocks: shared_out(partial(_begin, job), blocks, min(jobs, len(blocks)))
-    return partial(run_blocks_on_cluster, scheduler=scheduler, workers=jobs)
-
-
-def _run(
-    job: ReconstructionJob,
-    numbers: range,
-    on_disk: set[int],
-    workers: Workers,
-    log: FrameLog,
-    on_frame: Finished,
-) -> list[FrameEntry]:
-    open_blocks = [block for block in blocks_of(numbers) if not on_disk.issuperset(block)]
-    records: list[FrameEntry] = []
-    if not open_blocks:
-        return records
-    running = workers(job, [(block, frozenset(on_disk.intersection(block))) for block in open_blocks])
+def _made_frames(run: _Run, jobs: int, scheduler: str | None, on_frame: Finished) -> list[FrameEntry]:
+    """Make the frames that are not on disk; log each once its files are in place."""
+    made: list[FrameEntry] = []
+    entries = _frames_in_processes(run, jobs, scheduler)
     try:
-        for record in running:
-            log.append(record)
-            records.append(record)
-            on_frame(record)
+        for entry in entries:
+            run.log.append(entry)
+            made.append(entry)
+            on_frame(entry)
     except KeyboardInterrupt:
-        left = len(numbers) - len(on_disk & set(numbers)) - len(records)
+        left = len(run.numbers) - len(run.resumed) - len(made)
         raise KeyboardInterrupt(
-            f"{len(records)} frames were finished and {left} are left in {job.folder.root}; "
-            "run the same command again to go on"
+            f"{len(made)} frames were finished and {left} are left in {run.request.folder.root}; run the "
+            "same command again to go on"
         ) from None
     finally:
-        running.close()
-        log.close()
-    return records
+        entries.close()
+        run.log.close()
+    return made
 
 
-def _require_plausible(
-    job: ReconstructionJob, capture: Capture, mattes: Mattes, numbers: range,
-    state: LabelState | None = None,
-) -> Examination:  # fmt: skip
-    """Log and return what the footage tells of mistakes; raise `FatalFinding` for one that ruins normals.
+def _frames_in_processes(run: _Run, jobs: int, scheduler: str | None) -> Generator[FrameEntry]:
+    """Yield the frames that are not on disk, each once its files are in place."""
+    blocks = [block for block in blocks_of(run.numbers) if not run.on_disk.issuperset(block)]
+    items: list[Block] = [(block, run.on_disk.intersection(block)) for block in blocks]
+    if not items:
+        return
+    if scheduler is None:
+        begin = partial(begin_blocks, run.request, run.known)
+        yield from map_in_processes(begin, items, min(jobs, len(items)))
+        return
+    from vntoolkit.pipeline.cluster import map_on_cluster
 
-    state: what the first frame told of its materials; None where an earlier run measured them.
-    """
-    rig = job.rig if job.calibrated is None else replace(job.rig, transfer=job.calibrated)
-    try:
-        mask, numbers = mattes.judged(capture, numbers)
-        examined = examine_capture(capture, rig, mask, numbers, _in_one_material(job, mask, state))
-    except BadCapture as problem:  # a bad frame is reported when its turn comes
-        logger.debug("plausibility not checked: %s", problem)
-        return Examination(findings=[])
-    judge(examined.findings, job.allow)
-    return examined
-
-
-def _with_near_lamps(
-    job: ReconstructionJob, examined: Examination, earlier: manifests.Manifest | None
-) -> ReconstructionJob:
-    """Return the job with M changing over the picture as the lamps are near; as an earlier run found it."""
-    nearness = round(examined.nearness, _DIGITS_OF_NEARNESS)
-    if earlier is not None:
-        stored = earlier.options.get("lamps.nearness")
-        nearness = stored if isinstance(stored, float) else 0.0
-    if not nearness or job.rig.response.variation is not None or _was_pressed(job):
-        return job
-    size = (job.rig.camera.width, job.rig.camera.height)
-    response = with_near_lamps(job.rig.response, nearness, size)
-    return replace(job, rig=replace(job.rig, response=response), nearness=nearness)
+    begin = partial(begin_blocks, run.request.from_anywhere(), run.known)
+    yield from map_on_cluster(begin, items, scheduler, jobs)
+    # every block is written, so what is half-written was left by workers that died, here or elsewhere
+    remove_leftovers(run.request.folder.root, lambda process: process != os.getpid())
 
 
-def _with_blur(
-    job: ReconstructionJob, examined: Examination, earlier: manifests.Manifest | None
-) -> ReconstructionJob:
-    """Return the job with the blur that expected errors count; as an earlier run found it."""
-    blur_px = round(examined.blur_px, _DIGITS_OF_BLUR)
-    if earlier is not None:
-        stored = earlier.options.get("lens.blur_px")
-        blur_px = stored if isinstance(stored, float) else 0.0
-    return replace(job, blur_px=blur_px)
+def blocks_of(numbers: Sequence[int]) -> list[range]:
+    """Cut the frame numbers of a run, in order, into blocks of equal steps."""
+    blocks: list[range] = []
+    for number in numbers:
+        last = blocks[-1] if blocks else range(0)
+        step = number - last[-1] if len(last) else 1
+        if len(last) == 1 or (1 < len(last) < BLOCK_FRAMES and step == last.step):
+            blocks[-1] = range(last[0], number + 1, step)
+        else:
+            blocks.append(range(number, number + 1))
+    return blocks
 
 
-def _in_one_material(
-    job: ReconstructionJob, mask: Mask | None, state: LabelState | None = None
-) -> Callable[[LinearFrame], LinearFrame] | None:
-    """Return what makes a frame look as if its subject were of the rig's material; None where it is."""
-    if not job.reflectances:
-        return None
-    central, known = job.rig.response.central, (np.array(job.reflectances), np.array(job.pigments))
-    labeller = MaterialLabeller(response=central, reflectances=known[0])
-    told = LabelState(statistics=None if state is None else state.statistics)
-    processor = FrameProcessor(job.rig, job.options, mask)
-
-    def judged(frame: LinearFrame) -> LinearFrame:
-        # A backdrop's noise looks like dark paint. It would give the subject's rim a wrong label.
-        subject = processor.lit_subject(frame)
-        labels, _ = labeller.labels(processor.by_strength(frame), subject, told)
-        # lengths alone tell paint here: a surface without paint would fit any M; none is thought to be 1
-        seen = relit(frame, central, labels, *known, mask=subject)
-        return replace(seen, clipped=seen.clipped | near_seams(labels, _SEAM_PX))
-
-    return judged
-
-
-def _finish(
-    root: Path, manifest: manifests.Manifest, log: FrameLog, numbers: range, seconds: float
-) -> float | None:
-    """Write what the frames took and how good they are; return the expected error in degrees."""
-    entries = log.entries()
-    done = [entries[n] for n in numbers if n in entries and not entries[n].failure]
+def _ended(
+    run: _Run,
+    footage: Footage,
+    frames: FrameRange,
+    made: list[FrameEntry],
+    warnings: list[FindingEntry],
+    seconds: float,
+) -> ReconstructionSummary:
+    """Write what the frames took, how good they are and what was wrong; return what the run did."""
+    root, info = run.request.folder.root, footage.capture.info
+    entries = run.log.entries()
+    of_run = [entries[n] for n in run.numbers if n in entries]
+    done = [entry for entry in of_run if not entry.failure]
     if any(entry.contact_mm2 is not None for entry in entries.values()):
-        write_contacts(root, log)
+        write_contacts(root, run.log)
     spent = [entry.seconds for entry in done]
     timings = {"frame_s": float(np.median(spent)) if spent else 0.0, "wall_s": round(seconds, 3)}
     errors = [entry.error_deg for entry in done if entry.error_deg is not None]
@@ -349,9 +277,31 @@ def _finish(
             "what it finds, `vntoolkit report` shows where",
             error_deg, _LARGE_ERROR_DEG,
         )  # fmt: skip
+    failed = [entry for entry in made if entry.failure]
+    summary = ReconstructionSummary(
+        folder=root,
+        frames=len(run.numbers),
+        resumed=len(run.resumed),
+        done=len(made) - len(failed),
+        skipped=tuple(sorted([*run.missing, *failed], key=lambda entry: entry.number)),
+        seconds=seconds,
+        lost=len(frames.numbers(info.promised_frame_count)) - len(frames.numbers(info.frame_count)),
+        declared=info.promised_frame_count,
+        came=info.frame_count,
+        error_deg=error_deg,
+        found_lamps=run.known.light_colours is not None,
+    )
+    findings = [finding for finding in warnings if finding.text not in {f.text for f in run.known.findings}]
+    findings += [
+        FindingEntry(check="skipped", level="warning", text=f"skipped: {entry.failure}", frame=entry.number)
+        for entry in of_run
+        if entry.failure
+    ]
+    if summary.loss:
+        findings.append(FindingEntry(check="cut-off", level="warning", text=summary.loss))
     ended = {"finished": manifests.now_utc(), "timings": timings, "error_deg": error_deg}
-    manifests.write_manifest(root, manifest.model_copy(update=ended))
-    return error_deg
+    manifests.write_manifest(root, run.manifest.model_copy(update=ended | {"findings": findings}))
+    return summary
 
 
 def write_contacts(root: Path, log: FrameLog) -> None:
@@ -364,83 +314,16 @@ def write_contacts(root: Path, log: FrameLog) -> None:
     write_text(root / "contact.csv", "\n".join(["frame,area_mm2,depth_mm", *rows]) + "\n")
 
 
-# Before the first frame: options that rig and footage decide, and the manifest.
-
-
-def resolve_options(
-    job: ReconstructionJob,
-    capture: Capture,
-    mattes: Mattes,
-    numbers: range,
-    earlier: manifests.Manifest | None,
-) -> tuple[ReconstructionJob, MeasuredMaterials]:
-    """Return the job with the options that depend on rig and footage resolved, and the materials.
-
-    earlier: manifest of the run that this one goes on with, None for none; what that run measured and chose
-    is kept. Raises `BadInput` for a mask of another size and a reference frame that is not there,
-    `BadCapture` for a first frame that shows nothing; nothing is written.
-    """
-    options = job.options
-    there = (number for number in capture.present if number in numbers and not mattes.missing([number]))
-    first = next(there, None)
-    if first is None:
-        raise BadInput(
-            f"{job.source}: the files or mattes of all frames {numbers[0]} to {numbers[-1]} are missing"
-        )
-    pressed = _was_pressed(job)
-    if pressed:  # a gel was calibrated itself, and nothing throws a shadow on it
-        options = replace(options, materials=MaterialSearch.CALIBRATED, shadows=ShadowMethod.NONE)
-    reference = options.reference_frame
-    if reference is None:
-        stored = None if earlier is None else earlier.options.get("reference_frame")
-        reference = stored if isinstance(stored, int) else first
-    elif reference >= capture.info.frame_count:
-        raise BadInput(f"reference frame: the capture has only {capture.info.frame_count} frames")
-    job = replace(job, options=replace(options, reference_frame=reference))
-    if pressed:
-        return job, MeasuredMaterials(entries=[])
-    if earlier is not None and earlier.options.get("materials") == option_values(job.options)["materials"]:
-        albedo = earlier.options.get("inversion.relative_albedo")
-        albedo = albedo if isinstance(albedo, float) else None
-        measured = MeasuredMaterials(entries=list(earlier.materials), relative_albedo=albedo)
-    else:
-        measured = measured_materials(job, capture, mattes, numbers)
-    if measured.relative_albedo is not None:
-        inversion = replace(options.inversion, relative_albedo=measured.relative_albedo)
-        job = replace(job, options=replace(job.options, inversion=inversion))
-    return _of_materials(job, measured.entries), measured
-
-
-def _of_materials(job: ReconstructionJob, materials: Sequence[manifests.MaterialEntry]) -> ReconstructionJob:
-    reflectances = tuple(entry.reflectance for entry in materials)
-    pigments = tuple(entry.pigment or (0.0, 0.0, 0.0) for entry in materials)
-    errors_deg = tuple(entry.error_deg for entry in materials)
-    return replace(job, reflectances=reflectances, pigments=pigments, errors_deg=errors_deg)
-
-
-def _was_pressed(job: ReconstructionJob) -> bool:
-    fitted = job.rig.quality is not None and job.rig.quality.method == "presses"
-    return job.rig.gel is not None or fitted
-
-
-def manifest_of_run(
-    job: ReconstructionJob,
-    capture: Capture,
-    mattes: Mattes,
-    frames: FrameRange,
-    materials: list[manifests.MaterialEntry],
-    findings: list[Finding],
-) -> manifests.Manifest:
-    """Return the manifest of a run that begins now; reads and hashes all input files."""
-    info = capture.info
-    extra = {}
-    if job.mask is not None:
-        extra["mask"] = manifests.entry_of_files(job.mask, mattes.files)
-    if job.background is not None:
-        extra["background"] = manifests.entry_of_files(job.background, (job.background,))
-    return manifests.Manifest(
+def manifest_of_request(request: Request, footage: Footage, frames: FrameRange) -> Manifest:
+    """Return the manifest of a run that begins now, before anything is found; hashes all input files."""
+    info, extra = footage.capture.info, {}
+    if request.mask is not None:
+        extra["mask"] = manifests.entry_of_files(request.mask, footage.mattes.files)
+    if request.background is not None:
+        extra["background"] = manifests.entry_of_files(request.background, (request.background,))
+    return Manifest(
         input=manifests.InputEntry(
-            source=job.source,
+            source=request.source,
             files=manifests.hashed(info.files),
             width=info.width,
             height=info.height,
@@ -451,46 +334,13 @@ def manifest_of_run(
             times_s=list(info.times_s),
         ),
         extra_files=extra,
-        rig=entry_from_rig(job.rig),
-        options=_options_that_shape(job),
-        materials=materials,
-        findings=[manifests.FindingEntry(check=f.check, level=f.level.value, text=f.text) for f in findings],
+        rig=entry_from_rig(request.rig),
+        options=request.shaping_options(),
         frames=frames.to_text(),
-        outputs=job.folders,
         versions=manifests.library_versions(),
         started=manifests.now_utc(),
     )
 
 
-def _options_that_shape(job: ReconstructionJob) -> dict[str, Any]:
-    """Return what results depend on; sensor and mattes only where they are not left at their defaults."""
-    values = option_values(job.options, without=("to", "on_error"))
-    # by value: options from the command line are of classes of their own
-    for given, default, prefix in (
-        (job.sensor, SensorOptions(), SENSOR_PREFIX), (job.matting, MatteOptions(), "matte.")
-    ):  # fmt: skip
-        own = option_values(given, prefix)
-        values.update(own if own != option_values(default, prefix) else {})
-    if job.nearness:
-        values["lamps.nearness"] = job.nearness
-    if job.blur_px:
-        values["lens.blur_px"] = job.blur_px
-    return values
-
-
 def _declared(info: CaptureInfo) -> int | None:
     return info.promised_frame_count if info.promised_frame_count > info.frame_count else None
-
-
-# Blocks of consecutive frames, which go to the processes.
-
-
-def _begin(job: ReconstructionJob, threads: int | None) -> Callable[[Block], Iterator[FrameEntry]]:
-    worker = BlockWorker(job if threads is None else replace(job, threads=min(job.threads, threads)))
-    return lambda block: worker.run(*block)
-
-
-def blocks_of(numbers: range) -> list[range]:
-    """Cut the frame numbers of a run into blocks, in order."""
-    starts = range(0, len(numbers), BLOCK_FRAMES)
-    return [numbers[start : start + BLOCK_FRAMES] for start in starts]

@@ -18,10 +18,10 @@ from vntoolkit.io.results.frame_log import FrameEntry
 from vntoolkit.native import keep_freed_memory, limit_threads
 from vntoolkit.options.footage import ReadingLimits
 from vntoolkit.options.tracking import TrackingOptions
-from vntoolkit.pipeline.block_work import ReconstructionJob
 from vntoolkit.pipeline.checkerboard import write_checkerboard
 from vntoolkit.pipeline.cluster import connected
 from vntoolkit.pipeline.reconstruct import ReconstructionSummary, reconstruct
+from vntoolkit.pipeline.request import Request
 from vntoolkit.pipeline.texture import write_texture
 from vntoolkit.pipeline.track import TrackJob, TrackSummary, track
 
@@ -62,7 +62,7 @@ def names_from_sources(sources: tuple[str, ...]) -> dict[str, str]:
 
 
 def run_session(
-    captures: Mapping[str, ReconstructionJob],
+    captures: Mapping[str, Request],
     *,
     tracking: TrackingOptions | None = None,
     frames: FrameRange | None = None,

@@ -20,8 +20,8 @@ from vntoolkit.arrays import Array, ByteArray, FloatArray, VisibilityLabels
 from vntoolkit.errors import BadInput, BadMesh, BadMotion, BadRig
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.geometry.mesh import Mesh
-from vntoolkit.io.atomic import remove_numbered, require_apart, sole_writer, write_text
-from vntoolkit.io.files import read_text, source_file
+from vntoolkit.io.atomic import require_apart, write_text
+from vntoolkit.io.files import source_file
 from vntoolkit.io.footage.frame_range import FrameRange, sampled
 from vntoolkit.io.footage.images import read_image, resized_image, write_png
 from vntoolkit.io.footage.video import write_video
@@ -29,15 +29,22 @@ from vntoolkit.io.maps_and_meshes.arrays import map_npy
 from vntoolkit.io.maps_and_meshes.exr import ExrCompression
 from vntoolkit.io.maps_and_meshes.label_images import read_labels, write_labels, write_mask
 from vntoolkit.io.maps_and_meshes.maps import read_normal_map, write_depth_map, write_flow, write_normal_map
+from vntoolkit.io.results.folder import (
+    FolderKind,
+    begin_run,
+    numbers_on_disk,
+    remove_numbered,
+    write_lock,
+)
 from vntoolkit.io.results.seams import write_seams
-from vntoolkit.io.results.sequences import MeshSequenceWriter, remove_mesh_sequence
+from vntoolkit.io.results.sequences import SEQUENCE_FILES, MeshSequenceWriter
 from vntoolkit.io.rigs import write_rig
 from vntoolkit.options.simulation import Nuisances, RenderOptions, SceneOptions
 from vntoolkit.photometry.frame import lit_from_labels
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import TransferCurve
 from vntoolkit.pipeline.options import option_values
-from vntoolkit.pipeline.processes import shared_out
+from vntoolkit.pipeline.processes import map_in_processes
 from vntoolkit.simulation.head.rig import seam_lines_px
 from vntoolkit.simulation.image_formation import exposure_of_scene, light_colours_of, true_response
 from vntoolkit.simulation.lights import WAVELENGTHS_NM
@@ -47,8 +54,21 @@ from vntoolkit.simulation.scene import Scene, build_scene
 _SHEET_FRAMES, _SHEET_WIDTH = 8, 320
 _VERSION = 2  # of the shapes and the renderer: frames of another version are not gone on with
 _FIXED_TRUTH = ("rig.json", "lights.json", "scene.json", "seams.json", "poses.json")
-_TRUE_MAPS = {"normals": ".exr", "depth": ".exr", "mask": ".png", "visibility": ".png", "flow": ".exr"}
-_MOST_FRAMES = 10**6  # their names have six digits
+_TRUE_MAPS = {"normals": ".exr", "depth": ".exr", "mask": ".png", "visibility": ".png"}  # of every frame
+_STAGED = ".frames"
+SIMULATION = FolderKind(
+    verb="simulate",
+    holds="a capture",
+    record="simulation.json",
+    files=(
+        "capture.mkv",
+        "contact_sheet.png",
+        *(f"truth/{name}" for name in (*_FIXED_TRUTH, *SEQUENCE_FILES)),
+    ),
+    frames={f"truth/{kind}": (suffix,) for kind, suffix in (*_TRUE_MAPS.items(), ("flow", ".exr"))}
+    | {_STAGED: (".png",)},
+    foreign=("capture.mkv",),
+)
 logger = logging.getLogger(__name__)
 _COMPRESSION = ExrCompression.RLE  # maps are mostly empty; ZIP saves a fifth or more, in 1.6 times the time
 Picture = ByteArray
@@ -82,20 +102,18 @@ def simulate(
         raise BadInput(f"jobs: expected at least 1 process, got {jobs}")
     folder, count = job.folder, len(job.numbers)
     require_apart([job.motion], [folder.truth])
-    with sole_writer(folder.root):
-        resume = require_free(folder, job.description(), overwrite)
+    with write_lock(folder.root):
+        resume = begin_run(folder.root, SIMULATION, job.description(), overwrite=overwrite)
         if resume and folder.video.exists():
-            return SimulationSummary(folder=folder.root, frames=count, rendered=0)
-        if not resume:
-            if folder.description.exists():
-                _clear(folder)
-            write_text(folder.description, job.description())
+            if folder.is_complete(count):
+                return SimulationSummary(folder=folder.root, frames=count, rendered=0)
+            logger.warning("%s: true maps are gone, so all frames are rendered again", folder.truth)
         write_fixed_truth(job)
         missing = [place for place in range(count) if not folder.staged(place).exists()]
         on_start(count, count - len(missing))
         work = partial(_begin, job if jobs == 1 else replace(job))  # a copy: built scenes cannot be sent
         moments = write_moving_mesh(job, resume, missing)
-        for place in shared_out(work, moments, min(jobs, max(1, len(missing)))):
+        for place in map_in_processes(work, moments, min(jobs, max(1, len(missing)))):
             on_frame(place)
         _write_contact_sheet(job)
         write_video(folder.video, _staged_frames(folder, count), job.built.frame_rate_hz / job.numbers.step)
@@ -149,18 +167,6 @@ def _write_contact_sheet(job: SimulationJob) -> None:
     write_png(job.folder.root / "contact_sheet.png", contact_sheet(rows))
 
 
-def _clear(folder: SimulationFolder) -> None:
-    """Remove an earlier capture's files, and only those."""
-    for path in (folder.video, folder.root / "contact_sheet.png", folder.description):
-        path.unlink(missing_ok=True)
-    for name in _FIXED_TRUTH:
-        (folder.truth / name).unlink(missing_ok=True)
-    for kind, suffix in _TRUE_MAPS.items():
-        remove_numbered(folder.truth / kind, suffix, range(_MOST_FRAMES))
-    remove_mesh_sequence(folder.truth)
-    remove_numbered(folder.staged(0).parent, ".png", range(_MOST_FRAMES))
-
-
 @dataclass(frozen=True, kw_only=True)
 class SimulationFolder:
     """The layout of a synthetic capture on disk; frames are numbered by their place in the video."""
@@ -177,18 +183,20 @@ class SimulationFolder:
         """Everything that is known about it."""
         return self.root / "truth"
 
-    @property
-    def description(self) -> Path:
-        """What was asked for; written first."""
-        return self.root / "simulation.json"
-
     def staged(self, place: int) -> Path:
         """A rendered frame that waits for the video to be written; comes last of a frame's files."""
-        return self.root / ".frames" / f"{place:06d}.png"
+        return self.root / _STAGED / f"{place:06d}.png"
 
     def map_file(self, kind: str, place: int, suffix: str) -> Path:
         """The file of one frame's normals, depth, mask, visibility or flow."""
         return self.truth / kind / f"{place:06d}{suffix}"
+
+    def is_complete(self, count: int) -> bool:
+        """Whether the true maps of so many frames are there."""
+        return all(
+            set(numbers_on_disk(self.truth / kind, suffix)).issuperset(range(count))
+            for kind, suffix in _TRUE_MAPS.items()
+        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -227,9 +235,9 @@ class SimulationJob:
         """The scene's frames that are filmed."""
         return self.frames.numbers(self.built.frame_count)
 
-    def description(self) -> str:
-        """Return what shapes the result, as JSON: two runs with the same text give the same bytes."""
-        content: dict[str, Any] = {
+    def description(self) -> dict[str, Any]:
+        """Return what shapes the result, as JSON: two runs of the same description give the same bytes."""
+        return {
             "version": _VERSION,
             "scene": self.scene,
             "frames": self.frames.to_text(),
@@ -238,7 +246,6 @@ class SimulationJob:
             "nuisances": option_values(self.nuisances),
             "samples": self.rendering.samples,
         }
-        return json.dumps(content, indent=2) + "\n"
 
 
 def read_motion_file(path: Path) -> FloatArray:
@@ -249,22 +256,6 @@ def read_motion_file(path: Path) -> FloatArray:
             f"{path}: expected floating point vertices (frames, n, 3), got {moved.shape} {moved.dtype}"
         )
     return moved
-
-
-def require_free(folder: SimulationFolder, description: str, overwrite: bool) -> bool:
-    """Return whether a run of the same description began here; raise where another one's files are."""
-    if not folder.description.exists():
-        if folder.video.exists() and not overwrite:
-            raise BadInput(f"{folder.root}: holds a capture.mkv already; choose another folder")
-        return False
-    if overwrite:
-        return False
-    if read_text(folder.description) != description:
-        raise BadInput(
-            f"{folder.root}: holds a capture made with other options (see {folder.description.name}); "
-            "choose another folder, or add --overwrite"
-        )
-    return True
 
 
 # Ground truth on disk: the parts that do not change, and those of each frame.

@@ -22,14 +22,13 @@ from vntoolkit.io.footage.frame_range import sampled
 from vntoolkit.io.footage.images import read_image, write_png
 from vntoolkit.io.maps_and_meshes.glb import Texture
 from vntoolkit.io.maps_and_meshes.usd import TextureFiles
-from vntoolkit.io.results.sequences import read_mesh_sequence
 from vntoolkit.materials.relighting import relit
 from vntoolkit.native import njit
 from vntoolkit.photometry.frame import count_lit
 from vntoolkit.photometry.response import scaled_normals_from_rgb
 from vntoolkit.photometry.transfer import Transfer, TransferCurve, encoded_from_linear
 from vntoolkit.pipeline.opened_result import OpenedResult, open_result
-from vntoolkit.pipeline.tracked_folder import read_track_record
+from vntoolkit.pipeline.tracked_folder import read_tracks
 from vntoolkit.shadows.albedo import fill_smoothly
 from vntoolkit.tracking.slopes import sample_image
 
@@ -105,18 +104,17 @@ def write_texture(
     said.
     """
     target = track_folder or folder / "track"
-    result = open_result(folder, footage=footage, background=background)
-    record, sequence = read_track_record(target), read_mesh_sequence(target)
-    numbers = record["frames"][: len(sequence)]
-    at = numbers.index(record["template"])
+    result = open_result(folder, footage=footage, background=background, says_missing=False)
+    tracks = read_tracks(target)
+    sequence, numbers = tracks.sequence, tracks.numbers
+    at = numbers.index(tracks.template)
     camera, shape = result.camera, (result.camera.height, result.camera.width)
     faces = sequence.template.faces
     places = camera.project(np.array(sequence.vertices[at]))
     texels = texels_of(places, faces, shape)
     colours = _Colours(result)
-    rows = set(rows_with_maps(result, numbers, _FRAMES))
-    if result.folder.has(numbers[at], "normals", "depth"):
-        rows.add(at)
+    with_maps = [row for row, n in enumerate(numbers) if result.folder.has(n, "normals", "depth")]
+    rows = {*sampled(with_maps, _FRAMES), *({at} & set(with_maps))}
     colour, relief = _Mean(len(texels.faces), 3), _Mean(len(texels.faces), 3)
     for row in sorted(rows):
         number = numbers[row]
@@ -147,12 +145,6 @@ def texture_of_tracks(track_folder: Path) -> SurfaceTexture | None:
             track_folder.parent,
         )
     return texture
-
-
-def rows_with_maps(result: OpenedResult, numbers: list[int], most: int) -> tuple[int, ...]:
-    """Return at most so many rows, evenly spread over those of the frames that have normals and depth."""
-    kept = [row for row, number in enumerate(numbers) if result.folder.has(number, "normals", "depth")]
-    return sampled(kept, most)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -291,7 +283,7 @@ class _Colours:
 
     def __init__(self, result: OpenedResult) -> None:
         self._result = result
-        self._reflectances = np.array([entry.reflectance for entry in result.manifest.materials])
+        self._reflectances = np.array([entry.reflectance for entry in result.manifest.known.materials])
         self.is_there = result.rig.gel is None and self._has_background()
         response = result.rig.response.central
         self._response = response

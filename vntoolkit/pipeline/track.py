@@ -14,9 +14,9 @@ from vntoolkit.checks import require_positive
 from vntoolkit.diagnosis.finding import judge
 from vntoolkit.diagnosis.over_time import findings_from_tracks
 from vntoolkit.errors import BadInput, BadMesh, VntError
-from vntoolkit.geometry.maps import NormalMap
+from vntoolkit.geometry.maps import DepthMap, NormalMap
 from vntoolkit.geometry.mesh import MeshSequence
-from vntoolkit.io.atomic import sole_writer, undisturbed
+from vntoolkit.io.results.folder import begin_run, read_lock, require_same_request, write_lock
 from vntoolkit.io.results.sequences import MeshSequenceWriter, read_mesh_sequence
 from vntoolkit.materials.mixtures import MaterialLabels
 from vntoolkit.materials.relighting import relit
@@ -24,8 +24,9 @@ from vntoolkit.options.tracking import Tracker, TrackingOptions
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.pipeline import tracked_folder
-from vntoolkit.pipeline.opened_result import open_result
+from vntoolkit.pipeline.opened_result import OpenedResult, open_result
 from vntoolkit.pipeline.options import option_values
+from vntoolkit.pipeline.tracked_folder import TRACKS, TRACKS_VERSION
 from vntoolkit.tracking.paint import Paint, paint_of_frame
 from vntoolkit.tracking.tracker import SurfaceTracker, tracked_frame
 
@@ -96,34 +97,33 @@ def track(
     while another run is at work in one of the folders.
     """
     started = time.perf_counter()
-    source = tracked_folder.open_track_source(job.folder)
-    template = next(n for n in source.numbers if source.has(n)) if job.template is None else job.template
-    if template not in source.numbers or not source.has(template):
+    source = open_result(job.folder, footage=job.footage, background=job.background)
+    numbers = source.frames_to_track
+    there = [n for n in numbers if has_maps(source, n)]
+    template = there[0] if job.template is None else job.template
+    if template not in there:
         raise BadInput(
             f"--template {template}: that frame is not in {job.folder}; "
-            f"it holds {source.numbers[0]} to {source.numbers[-1]}"
+            f"it holds {numbers[0]} to {numbers[-1]}"
         )
-    paint_of = _paint_reader(job, source)
+    paint_of = _paint_reader(job, source, there[0])
     record = _record(job, source, template) | {"paint": paint_of is not None}
-    with undisturbed(job.folder), sole_writer(job.target) as target:
-        tracked_folder.require_free(target, record, overwrite=overwrite)
+    with read_lock(job.folder), write_lock(job.target) as target:
+        require_same_request(target, TRACKS, record, overwrite=overwrite)
         paint = None if paint_of is None else paint_of(template, source.normals(template))
         tracker = SurfaceTracker(
-            *source.maps(template),
+            *maps_of(source, template),
             source.camera,
             job.options,
             job.seams,
             source.labels(template),
             paint,
         )
-        if overwrite:
-            tracked_folder.clear_track(target)
-        tracked_folder.write_track_record(target, record)
+        begin_run(target, TRACKS, record, overwrite=overwrite)
         resumed = _run(tracker, source, template, target, on_start, on_frame, paint_of)
-    missing = tuple(n for n in source.numbers if not source.has(n))
-    tracked = [n for n in source.numbers if source.has(n)]
-    visible, error_px = _visible_shares(job, [source.numbers.index(n) for n in tracked])
-    judge(findings_from_tracks(visible, error_px, tracked if visible else ()))
+    missing = tuple(n for n in numbers if n not in there)
+    visible, error_px = _visible_shares(job, [numbers.index(n) for n in there])
+    judge(findings_from_tracks(visible, error_px, there if visible else ()))
     if missing:
         _LOGGER.warning(
             "%d frames are missing and were held still, the first is %d", len(missing), missing[0]
@@ -131,7 +131,7 @@ def track(
     return TrackSummary(
         folder=target,
         vertices=len(tracker.template.pixels),
-        frames=len(source.numbers),
+        frames=len(numbers),
         resumed=resumed,
         missing=missing,
         visible=visible,
@@ -139,28 +139,38 @@ def track(
     )
 
 
-def _paint_reader(job: TrackJob, source: tracked_folder.TrackSource) -> PaintReader | None:
+def has_maps(result: OpenedResult, number: int) -> bool:
+    """Whether a frame has both normals and depth."""
+    return result.folder.has(number, "normals", "depth")
+
+
+def maps_of(result: OpenedResult, number: int) -> tuple[NormalMap, DepthMap]:
+    """Read a frame that `has_maps`."""
+    depth_map = result.depth(number)
+    if depth_map is None:
+        raise BadInput(f"frame {number}: its depth has vanished from {result.folder.root}")
+    return result.normals(number), depth_map
+
+
+def _paint_reader(job: TrackJob, result: OpenedResult, first: int) -> PaintReader | None:
     """Return what reads the paint of a frame from the footage; None where that is not at hand."""
-    if job.options.method is not Tracker.DEFAULT:
+    if job.options.method is not Tracker.DEFAULT or result.rig.gel is not None:  # a gel has one reflectance
         return None
     try:
-        result = open_result(job.folder, footage=job.footage, background=job.background)
-        if result.rig.gel is not None:  # a gel is of one reflectance
-            return None
         if result.lacks_background:
             raise BadInput("the reconstruction subtracted a background; give it as --background")
-        result.linear(next(n for n in source.numbers if source.has(n)))
+        result.linear(first)
     except VntError as problem:
         _LOGGER.warning("paint is not tracked, relief and shape alone are: %s", problem)
         return None
-    reflectances = np.array([entry.reflectance for entry in result.manifest.materials]).reshape(-1, 3)
+    reflectances = np.array([entry.reflectance for entry in result.manifest.known.materials]).reshape(-1, 3)
 
     def paint_of(number: int, normal_map: NormalMap) -> Paint:
         return paint_of_materials(
             result.linear(number),
             normal_map.normals_in_camera,
             result.rig.response,
-            source.labels(number),
+            result.labels(number),
             result.materials(number),
             reflectances,
         )
@@ -199,16 +209,17 @@ def _visible_shares(job: TrackJob, rows: Sequence[int]) -> tuple[tuple[float, ..
 
 def _run(
     tracker: SurfaceTracker,
-    source: tracked_folder.TrackSource,
+    source: OpenedResult,
     template: int,
     target: Path,
     on_start: Callable[[int, int], None],
     on_frame: Callable[[], None],
     paint_of: PaintReader | None,
 ) -> int:
-    at = source.numbers.index(template)
-    back, ahead = source.numbers[:at][::-1], source.numbers[at + 1 :]
-    rate, mesh, first = source.frame_rate_hz, tracker.mesh, tracker.state
+    numbers, rate = source.frames_to_track, source.manifest.input.playing_rate_hz
+    at = numbers.index(template)
+    back, ahead = numbers[:at][::-1], numbers[at + 1 :]
+    mesh, first = tracker.mesh, tracker.state
     with MeshSequenceWriter(target, mesh, frame_rate_hz=rate, resume=True) as writer:
         _truncate_to_memory(writer, tracker, at + 1)
         resumed = writer.frame_count
@@ -217,13 +228,13 @@ def _run(
             with MeshSequenceWriter(target / "backwards", mesh, frame_rate_hz=rate, resume=True) as backwards:
                 _truncate_to_memory(backwards, tracker, 0)
                 resumed = backwards.frame_count
-                on_start(len(source.numbers), resumed)
+                on_start(len(numbers), resumed)
                 _follow(tracker, source, (template, *back), backwards, on_frame, paint_of, lead=0)
             _copy_reversed(target / "backwards", writer, tracker)
             writer.append(first.vertices_in_camera, first.uncertainty_px)
             on_frame()
         else:
-            on_start(len(source.numbers), resumed)
+            on_start(len(numbers), resumed)
         tracker.resume(first, first, source.normals(template))
         _follow(tracker, source, (template, *ahead), writer, on_frame, paint_of, lead=at + 1)
     tracked_folder.remove_backwards(target)
@@ -232,7 +243,7 @@ def _run(
 
 def _follow(
     tracker: SurfaceTracker,
-    source: tracked_folder.TrackSource,
+    source: OpenedResult,
     numbers: tuple[int, ...],
     writer: MeshSequenceWriter,
     on_frame: Callable[[], None],
@@ -246,8 +257,8 @@ def _follow(
     kept = None
     try:
         for number in numbers[done + 1 :]:
-            if source.has(number):
-                normal_map, depth_map = source.maps(number)
+            if has_maps(source, number):
+                normal_map, depth_map = maps_of(source, number)
                 paint = None if paint_of is None else paint_of(number, normal_map)
                 tracked = tracker.step(normal_map, depth_map, source.labels(number), paint)
                 writer.append(tracked.vertices_in_camera, tracked.uncertainty_px)
@@ -274,10 +285,10 @@ def _truncate_to_memory(writer: MeshSequenceWriter, tracker: SurfaceTracker, lea
 
 
 def _go_on(
-    tracker: SurfaceTracker, source: tracked_folder.TrackSource, done: tuple[int, ...], folder: Path, row: int
+    tracker: SurfaceTracker, source: OpenedResult, done: tuple[int, ...], folder: Path, row: int
 ) -> None:
     """Restore the tracker after the last frame on disk. row: of the template among them, or −1."""
-    present = [i for i, number in enumerate(done) if i == 0 or source.has(number)]
+    present = [i for i, number in enumerate(done) if i == 0 or has_maps(source, number)]
     if len(present) < 2:
         return
     sequence = _tracked_before(folder, tracker)
@@ -307,14 +318,15 @@ def _tracked_before(folder: Path, tracker: SurfaceTracker) -> MeshSequence:
     return sequence
 
 
-def _record(job: TrackJob, source: tracked_folder.TrackSource, template: int) -> dict[str, Any]:
+def _record(job: TrackJob, source: OpenedResult, template: int) -> dict[str, Any]:
     return {
+        "version": TRACKS_VERSION,
         "result_sha256": source.digest,
         "template": template,
         "options": option_values(job.options),
         "lost_px": job.lost_px,
         "seams": [np.asarray(seam).tolist() for seam in job.seams],
-        "frame_rate_hz": source.frame_rate_hz,
-        "camera": tracked_folder.camera_record(source.filmed_by),
-        "frames": list(source.numbers),
+        "frame_rate_hz": source.manifest.input.playing_rate_hz,
+        "camera": tracked_folder.camera_record(source.rig.camera),
+        "frames": list(source.frames_to_track),
     }

@@ -1,112 +1,81 @@
-"""The files that `track` reads and writes: the reconstruction's frames and the folder DIR/track."""
+"""The folder DIR/track that `track` writes, and every later verb reads."""
 
-import json
-from contextlib import suppress
+import logging
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from vntoolkit.arrays import Colours, FloatArray, Points, VisibilityLabels
+from vntoolkit.arrays import Colours, FloatArray, Points
 from vntoolkit.errors import BadInput
+from vntoolkit.evaluation.track_error import LOST_PX
 from vntoolkit.geometry.camera import Camera
-from vntoolkit.geometry.maps import DepthMap, NormalMap
-from vntoolkit.geometry.mesh import Mesh
-from vntoolkit.io.atomic import atomic_path, write_text
+from vntoolkit.geometry.mesh import Mesh, MeshSequence
+from vntoolkit.io.atomic import atomic_path
 from vntoolkit.io.files import parse_json, read_text
-from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.maps_and_meshes.arrays import read_npz
-from vntoolkit.io.maps_and_meshes.label_images import read_labels
-from vntoolkit.io.maps_and_meshes.maps import read_depth_map, read_normal_map
-from vntoolkit.io.results.manifest import read_manifest, result_digest
-from vntoolkit.io.results.sequences import remove_mesh_sequence
-from vntoolkit.io.rigs import camera_from_content, entry_from_camera, rig_from_entry
-from vntoolkit.pipeline.outputs import ReconstructionFolder
+from vntoolkit.io.results.folder import FolderKind, flat, remove_if_empty
+from vntoolkit.io.results.sequences import SEQUENCE_FILES, read_mesh_sequence
+from vntoolkit.io.rigs import camera_from_content, entry_from_camera
 from vntoolkit.tracking.running_template import RunningTemplate
 
 _RECORD = "track.json"
 _MEMORY_NAME = "remembered.npz"  # of the last frame, for a run that goes on
-_VERSION = 1
-_IN_WORDS = {"result_sha256": "normals and depth", "frame_rate_hz": "frame rate"}
+TRACKS_VERSION = 1
+_LOGGER = logging.getLogger(__name__)
+_IN_WORDS = {"result_sha256": "normals and depth", "frame_rate_hz": "frame rate"}  # of track.json
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class TrackSource:
-    """A reconstruction to track.
+class Tracks:
+    """The moving mesh that `track` wrote. record: track.json. numbers: of the frames that are there."""
 
-    numbers: frames asked for, in order; those without files are missing. camera: of the undistorted maps.
-    filmed_by: the camera of the footage, with its distortion. digest: of the reconstruction
-    (`result_digest`).
-    """
+    folder: Path
+    record: Mapping[str, Any]
+    sequence: MeshSequence
 
-    folder: ReconstructionFolder
-    camera: Camera
-    filmed_by: Camera
-    numbers: tuple[int, ...]
-    frame_rate_hz: float
-    digest: str
+    @property
+    def numbers(self) -> tuple[int, ...]:
+        """Numbers of the frames, in order."""
+        return tuple(self.record["frames"][: len(self.sequence)])
 
-    def has(self, number: int) -> bool:
-        """Whether the frame's normals and depth are both there."""
-        return self.folder.has(number, "normals", "depth")
+    @property
+    def template(self) -> int:
+        """Number of the template's frame."""
+        return int(self.record["template"])
 
-    def maps(self, number: int) -> tuple[NormalMap, DepthMap]:
-        """Read one frame. Raises `BadInput`, as the others do, for a file of another size than the camera."""
-        path = self.folder.file("depth", number)
-        depth = read_depth_map(path)
-        self._require_size(path, depth.shape)
-        return self.normals(number), depth
+    @property
+    def camera(self) -> Camera:
+        """The camera of the footage, with its distortion: it takes vertices to pixels."""
+        return recorded_camera(self.record)
 
-    def labels(self, number: int) -> VisibilityLabels | None:
-        """Read which lights reach the pixels of one frame; None where `reconstruct` looked for no shadows."""
-        path = self.folder.file("shadows", number)
-        if not path.exists():
+    @property
+    def lost_px(self) -> float:
+        """Expected error above which a vertex is called lost."""
+        return float(self.record.get("lost_px", LOST_PX))
+
+    @cached_property
+    def template_vertices(self) -> Points | None:
+        """(n, 3), the surface in the template's own frame; None where that is not tracked yet."""
+        if self.template not in self.numbers:
             return None
-        labels = read_labels(path)
-        self._require_size(path, labels.shape)
-        return labels
-
-    def normals(self, number: int) -> NormalMap:
-        """Read one frame's normals."""
-        path = self.folder.file("normals", number)
-        normals = read_normal_map(path)
-        self._require_size(path, normals.shape)
-        return normals
-
-    def _require_size(self, path: Path, shape: tuple[int, ...]) -> None:
-        height, width = shape
-        own = self.camera
-        if (width, height) != (own.width, own.height):
-            raise BadInput(
-                f"{path}: {width}×{height} pixels, but the camera has {own.width}×{own.height}; "
-                "remove it and run `vntoolkit reconstruct` again: it makes what is missing"
-            )
+        return np.array(self.sequence.vertices[self.numbers.index(self.template)])
 
 
-def open_track_source(root: Path) -> TrackSource:
-    """Open a folder that `reconstruct` wrote, up to its last frame on disk. Raises `BadInput`."""
-    manifest = read_manifest(root)
-    folder = ReconstructionFolder(root=root)
-    numbers = tuple(FrameRange.from_text(manifest.frames).numbers(manifest.input.frame_count))
-    present = [n for n in numbers if folder.has(n, "normals", "depth")]
-    if not present:
-        raise BadInput(f"{root}: no frame has both normals and depth; run `vntoolkit reconstruct --to depth`")
-    camera = rig_from_entry(manifest.rig).camera
-    return TrackSource(
-        folder=folder,
-        camera=camera.without_distortion(),
-        filmed_by=camera,
-        numbers=numbers[: numbers.index(present[-1]) + 1],
-        frame_rate_hz=manifest.input.playing_rate_hz,
-        digest=result_digest(manifest),
-    )
-
-
-def write_track_record(folder: Path, record: dict[str, Any]) -> None:
-    """Write DIR/track/track.json: what a resumed run must agree with, and what `evaluate` reads."""
-    write_text(folder / _RECORD, json.dumps({"version": _VERSION, **record}, indent=2) + "\n")
+def read_tracks(folder: Path) -> Tracks:
+    """Open a folder that `track` wrote, and say where frames are missing at its end. Raises `BadInput`."""
+    tracks = Tracks(folder=folder, record=read_track_record(folder), sequence=read_mesh_sequence(folder))
+    asked = tracks.record["frames"]
+    if len(tracks.sequence) < len(asked):
+        _LOGGER.warning(
+            "%s: incomplete, holds %d of %d frames; run the same `vntoolkit track` again",
+            folder, len(tracks.sequence), len(asked),
+        )  # fmt: skip
+    return tracks
 
 
 def camera_record(camera: Camera) -> dict[str, Any]:
@@ -114,7 +83,7 @@ def camera_record(camera: Camera) -> dict[str, Any]:
     return entry_from_camera(camera).model_dump(mode="json")
 
 
-def recorded_camera(record: dict[str, Any]) -> Camera:
+def recorded_camera(record: Mapping[str, Any]) -> Camera:
     """Return the camera that track.json names: it takes tracked vertices to pixels of the footage."""
     try:
         return camera_from_content(record.get("camera"))
@@ -135,54 +104,37 @@ def read_track_record(folder: Path) -> dict[str, Any]:
     raise BadInput(f"{path}: expected an object with frames, a list of numbers, and template, a number")
 
 
-def require_free(folder: Path, record: dict[str, Any], *, overwrite: bool) -> None:
-    """Raise `BadInput` where the folder holds tracks made otherwise, naming what changed, or another mesh.
-
-    overwrite: tracks made otherwise may be replaced; what `track` did not write never.
-    """
-    if not (folder / _RECORD).exists():
-        if (folder / "vertices.npy").exists() or (folder / "sequence.json").exists():
-            raise BadInput(
-                f"{folder}: holds a moving mesh that `vntoolkit track` did not write; choose another --out"
-            )
-        return
-    if overwrite:
-        return
-    now = json.loads(json.dumps(record))
-    unnamed = {"result_sha256": now["result_sha256"], "paint": False}  # a record of before these were kept
-    before = unnamed | read_track_record(folder)
-    grown = now["frames"][: len(before["frames"])] == before["frames"]
-    free = ("frames", "lost_px")
-    changed = [key for key in now if key not in free and before.get(key) != now[key]]
-    if changed or not grown:
-        names = ", ".join(_IN_WORDS.get(key, key) for key in changed or ["frames"])
-        raise BadInput(f"{folder}: holds tracks made with other {names}; add --overwrite to replace them")
+def _request(record: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what tracks of two runs must agree in."""
+    values = flat({k: v for k, v in record.items() if k not in ("version", "lost_px")})
+    return {_IN_WORDS.get(name, name): value for name, value in values.items()}
 
 
-def clear_track(folder: Path) -> None:
-    """Remove what `track` wrote into a folder, and nothing else."""
-    if not (folder / _RECORD).exists():
-        return
-    made = ("albedo.png", "normal.png", "texture.json")
-    for name in (
-        _RECORD,
-        "reflectance.npy",  # of an earlier version
-        _MEMORY_NAME,
+# Folder of what is tracked from the template back, until it is in place.
+_BACKWARDS = "backwards"
+_MOVING = (*SEQUENCE_FILES, _MEMORY_NAME)
+TRACKS = FolderKind(
+    verb="track",
+    holds="tracks",
+    record=_RECORD,
+    files=(
+        *_MOVING,
+        *(f"{_BACKWARDS}/{name}" for name in _MOVING),
         "checkerboard.mkv",
         "checkerboard.png",
-        *(f"texture/{name}" for name in made),
-    ):
-        (folder / name).unlink(missing_ok=True)
-    with suppress(OSError):  # something else is left
-        (folder / "texture").rmdir()
-    remove_backwards(folder)
-    remove_mesh_sequence(folder)
+        *(f"texture/{name}" for name in ("albedo.png", "normal.png", "texture.json")),
+    ),
+    foreign=("vertices.npy", "sequence.json"),
+    request=_request,
+    grows=("frames",),
+)
 
 
 def remove_backwards(folder: Path) -> None:
     """Remove what was tracked backwards from the template, and is in place now."""
-    (folder / "backwards" / _MEMORY_NAME).unlink(missing_ok=True)
-    remove_mesh_sequence(folder / "backwards")
+    for name in _MOVING:
+        (folder / _BACKWARDS / name).unlink(missing_ok=True)
+    remove_if_empty(folder / _BACKWARDS)
 
 
 def write_running_template(folder: Path, frame_count: int, running: RunningTemplate) -> None:

@@ -45,9 +45,9 @@ def write_report(
     result = open_result(folder, footage=options.footage)
     middle = result.numbers[len(result.numbers) // 2]
     sections = [
+        warnings_section(result),
         samples_section(result, options.samples, options.picture_height),
         *extra,
-        warnings_section(result),
         calibration_section(result, middle),
         shares_section(result),
         results_section(result),
@@ -67,34 +67,29 @@ def write_report(
 
 
 def warnings_section(result: OpenedResult) -> page.PageSection:
-    """Return what the run found wrong, what the footage's header says, and which frames failed."""
-    notices = list(_findings(result))
-    failed = [entry for entry in result.entries.values() if entry.failure]
-    if failed:
-        text = f"frames skipped: {len(failed)}; the first is {failed[0].number}: {failed[0].failure}"
-        notices.append(page.PageNotice(severity="warning", text=text))
-    if not result.manifest.finished:
-        text = "the run was not finished: the same command goes on where it stopped"
-        notices.append(page.PageNotice(severity="warning", text=text))
+    """Return what was found wrong, the gravest first, and what the footage's header says."""
+    notices = [page.PageNotice(severity=each.level, text=each.line) for each in result.findings]
+    try:
+        stated = findings_from_header(result.capture)
+        notices += [page.PageNotice(severity=each.level.value, text=each.text) for each in stated]
+    except VntError as error:
+        text = f"the footage could not be looked at: {error}"
+        notices.append(page.PageNotice(severity="note", text=text))
     paragraphs = () if notices else ("Nothing was found that would ruin normals.",)
     return page.PageSection(title="Warnings", paragraphs=paragraphs, notices=tuple(notices))
 
 
-def _findings(result: OpenedResult) -> list[page.PageNotice]:
-    found = result.manifest.findings
-    if found is None:
-        text = "an earlier version made this result and kept no findings; `vntoolkit doctor` looks anew"
-        notices = [page.PageNotice(severity="note", text=text)]
-    else:
-        notices = [page.PageNotice(severity=entry.level, text=entry.text) for entry in found]
-    try:
-        stated = findings_from_header(result.capture)
-    except VntError as error:
-        return [
-            *notices,
-            page.PageNotice(severity="note", text=f"the footage could not be looked at: {error}"),
-        ]
-    return [*notices, *(page.PageNotice(severity=each.level.value, text=each.text) for each in stated)]
+def content_of_report(result: OpenedResult) -> dict[str, Any]:
+    """Return what the page says in words and numbers, as JSON: findings first, then each frame."""
+    manifest = result.manifest
+    return {
+        "folder": str(result.folder.root),
+        "findings": [finding.model_dump() for finding in result.findings],
+        "error_deg": manifest.error_deg,
+        "frames": [vars(entry) for entry in result.entries.values()],
+        "materials": [entry.model_dump() for entry in manifest.known.materials],
+        "options": manifest.options,
+    }
 
 
 def _headline(result: OpenedResult) -> tuple[page.PageNumber, ...]:
@@ -252,8 +247,8 @@ def samples_section(result: OpenedResult, count: int, height_px: int) -> page.Pa
         title="Sample frames",
         paragraphs=(
             "Normals in their usual colours (red to the right, green up, blue to the viewer). The relief is "
-            "the integrated depth, lit from the upper left, its slopes taken from the depth itself. Nine of "
-            "ten normals are within their expected error.",
+            "the integrated depth, lit from the upper left, its slopes taken from the depth itself. The "
+            "expected error is what nine of ten normals keep to where rig and subject are as assumed.",
         ),
         figures=(page.figure_from_pixels(pixels, caption, suffix=".webp", wide=True),),
     )

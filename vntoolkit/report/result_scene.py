@@ -141,6 +141,7 @@ class _ResultScene:
             "template": at,
             "place": scene.place_of(box for number in boxed for box in self._boxes(number)),
             "captured": result.picture(self.numbers[0]) is not None,
+            "findings": [finding.line for finding in result.findings if finding.level != "note"],
         } | ({} if track is None or track.sequence.uncertainty_px is None else {"lost_px": track.lost_px})
 
     def has_surface(self, number: int) -> bool:

@@ -161,10 +161,10 @@ def scene_page(title: str, mode: str, setup: Mapping[str, Any]) -> str:
 
     mode: `file`, `view` or `live`. setup: what the script must know; `records`: the page has a button for it,
     `captured`: surfaces can be painted in the captured colours; `lost_px`: frames of the registered surface
-    have `errors`, bytes of which 255 is that many pixels and more.
+    have `errors`, bytes of which 255 is that many pixels and more; `findings`: what was found wrong, lines.
     """
     known = {name: setup.get(name, False) for name in ("records", "captured")}
-    known["lost_px"] = setup.get("lost_px")
+    known |= {"lost_px": setup.get("lost_px"), "findings": setup.get("findings", ())}
     return page_from_template(
         "scene.html.j2", script="scene.js", title=title, setup={"mode": mode, **known, **setup}
     )

@@ -1,7 +1,7 @@
 """Mattes: where the subject is, for the whole capture or frame by frame, from files or from a clean plate."""
 
 import logging
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -53,7 +53,7 @@ class Mattes:
             )
         return mask
 
-    def judged(self, capture: Capture, numbers: range) -> tuple[Mask | None, range]:
+    def judged(self, capture: Capture, numbers: Sequence[int]) -> tuple[Mask | None, Sequence[int]]:
         """Return a mask to judge footage inside of, and the frames that it is of.
 
         Where each frame has a mask of its own, that is one frame from the middle.

@@ -4,27 +4,48 @@ The manifest is written when a run starts and when it ends; finished frames are 
 beside it (`frame_log`), one short line each, so that 10,000 frames cost no more each than the first.
 """
 
+import contextlib
 import hashlib
 import json
 import os
 import platform
+from collections.abc import Container, Iterable
+from dataclasses import replace
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
 from pydantic import Field, ValidationError
 
 import vntoolkit
-from vntoolkit.errors import BadInput
+from vntoolkit.errors import BadInput, VntError
 from vntoolkit.io.atomic import write_text
 from vntoolkit.io.files import parse_json, read_text, require_file, sha256_of_file
+from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.maps_and_meshes.label_images import LABEL_LEGEND
-from vntoolkit.io.rigs import Entry, RigFile, SourceEntry, one_line_from_validation, text_from_model
+from vntoolkit.io.results.folder import FolderKind, numbers_in_words, numbers_on_disk
+from vntoolkit.io.results.frame_log import FRAMES_NAME, FrameLog
+from vntoolkit.io.rigs import (
+    Entry,
+    RigFile,
+    SourceEntry,
+    one_line_from_validation,
+    rig_from_entry,
+    text_from_model,
+)
 from vntoolkit.native import open3d_distribution
+from vntoolkit.photometry.response import with_near_lamps
+from vntoolkit.photometry.rig import Rig
 
 MANIFEST_NAME = "reconstruction.json"
-MANIFEST_VERSION = 1
+# folder -> suffix of a frame's file in it
+FRAME_FILES = {
+    "normals": ".exr", "depth": ".exr", "mesh": ".ply",
+    "shadows": ".png", "contact": ".png", "materials": ".png",
+}  # fmt: skip
+MANIFEST_VERSION = 2
 _STILLS_RATE_HZ = 30.0
 _LIBRARIES = ("numpy", "scipy", "numba", "opencv-contrib-python-headless", "av", "OpenEXR")
 
@@ -79,11 +100,68 @@ class MaterialEntry(Entry):
 
 
 class FindingEntry(Entry):
-    """What the run found wrong with footage or rig before its first frame."""
+    """What was found wrong with footage, rig or result."""
 
-    check: str = Field(description="Name of the check, which --allow takes.")
+    check: str = Field(description="Name of the check, which --allow takes where it is fatal.")
     level: Literal["note", "warning", "fatal"] = Field(description="Fatal: the run was allowed to go on.")
     text: str = Field(description="The finding on one line, with its number and remedy.")
+    frame: int | None = Field(default=None, description="The frame it is of; null for the whole capture.")
+
+    @property
+    def line(self) -> str:
+        """The finding with its frame."""
+        return self.text if self.frame is None else f"frame {self.frame}: {self.text}"
+
+
+_Triple = tuple[float, float, float]
+
+
+class Known(Entry):
+    """What a run found once, on a few frames, before the first: it holds for the whole capture."""
+
+    frames: list[str] = Field(
+        default_factory=list,
+        description="Frames that it was found among, start:stop:step: all ever asked for.",
+    )
+    reference_frame: int = Field(
+        default=0, ge=0, description="The frame that depth is tied to, and that tells noise and blur."
+    )
+    light_colours: tuple[_Triple, _Triple, _Triple] | None = Field(
+        default=None,
+        description="Colours of the lamps, one row each, where shadows told them; null for the rig's.",
+    )
+    light_doubts_deg: _Triple | None = Field(
+        default=None, description="Standard deviations of the lamps' directions that shadows told."
+    )
+    nearness: float = Field(
+        default=0.0, description="By which M was made to change over the picture, as lamps are near; 0: not."
+    )
+    blur_px: float = Field(
+        default=0.0, description="Standard deviation of the picture's blur, which expected errors count."
+    )
+    relative_albedo: float | None = Field(
+        default=None, description="Brightness of the subject against the rig's material, where it is of that."
+    )
+    materials: list[MaterialEntry] = Field(
+        default_factory=list, description="Materials that were found; empty for the rig's alone."
+    )
+    findings: list[FindingEntry] = Field(default_factory=list, description="What was found wrong.")
+
+    def with_rig(self, asked: Rig) -> Rig:
+        """Return the rig that was asked for, with what was found of its lamps."""
+        response = asked.response
+        if self.light_colours is not None:
+            doubts_deg = None if self.light_doubts_deg is None else np.array(self.light_doubts_deg)
+            colours = np.array(self.light_colours)
+            response = replace(response, light_colours=colours, light_doubts_deg=doubts_deg)
+        if self.nearness:
+            size = (asked.camera.width, asked.camera.height)
+            response = with_near_lamps(response, self.nearness, size)
+        return replace(asked, response=response)
+
+    def shapes(self) -> dict[str, Any]:
+        """Return what results depend on."""
+        return self.model_dump(mode="json", exclude={"frames", "findings"})
 
 
 class Manifest(Entry):
@@ -94,15 +172,13 @@ class Manifest(Entry):
     extra_files: dict[str, SourceEntry] = Field(
         default_factory=dict, description="Mask, background and the like, by option."
     )
-    rig: RigFile = Field(description="The rig that was used, whole.")
+    rig: RigFile = Field(description="The rig that was given, whole.")
     options: dict[str, Any] = Field(
-        default_factory=dict, description="Every option that shapes the result, by its name."
+        default_factory=dict, description="Every option that shapes the result, by its name, as asked for."
     )
-    materials: list[MaterialEntry] = Field(
-        default_factory=list, description="Materials that were found; empty for the rig's alone."
-    )
-    findings: list[FindingEntry] | None = Field(
-        default=None, description="What was found wrong before the first frame; null where none was kept."
+    known: Known = Field(default_factory=Known, description="What was found before the first frame.")
+    findings: list[FindingEntry] = Field(
+        default_factory=list, description="What was found wrong with frames, and with all of them at the end."
     )
     frames: str = Field(default="0::1", description="Frames asked for, start:stop:step.")
     outputs: list[str] = Field(default_factory=list, description="Folders written: normals, depth, …")
@@ -142,48 +218,82 @@ def read_manifest(folder: Path | str) -> Manifest:
     try:
         stated = content.get("version") if isinstance(content, dict) else MANIFEST_VERSION
         if stated != MANIFEST_VERSION or isinstance(stated, bool):
-            raise BadInput(f"{path}: is of version {stated}, this program reads {MANIFEST_VERSION}")
-        if isinstance(content, dict):
-            content.pop("surface", None)  # of a flag that is no more; older folders hold it, mostly null
+            raise BadInput(
+                f"{path}: is of version {stated}, this program reads {MANIFEST_VERSION}; reconstruct again, "
+                "with --overwrite"
+            )
         return Manifest.model_validate(content)
     except ValidationError as problem:
         raise BadInput(f"{path}: {one_line_from_validation(problem, Manifest)}") from problem
 
 
-def changes_between(before: Manifest, now: Manifest) -> list[str]:
-    """Return the differences of two runs, one phrase each; empty if their results may be mixed.
+def request_of_manifest(manifest: Manifest) -> dict[str, Any]:
+    """Return what shapes a reconstruction, by names for messages.
 
-    Frames asked for, folders written, versions and times may differ; inputs, rig and options may not.
+    Frames asked for, folders written, names of files, versions and times do not.
     """
-    changes = []
-    if before.input.files != now.input.files:
-        changes.append(f"the input files ({before.input.source} → {now.input.source})")
-    for name in sorted(set(before.extra_files) | set(now.extra_files)):
-        if before.extra_files.get(name) != now.extra_files.get(name):
-            changes.append(f"the file of --{name}")
-    for section in RigFile.model_fields:
-        if section not in ("quality", "sources") and getattr(before.rig, section) != getattr(
-            now.rig, section
-        ):
-            changes.append(f"the rig's {section}")
-    now_options = json.loads(json.dumps(now.options))
-    for name in sorted(set(before.options) | set(now_options)):
-        old, new = before.options.get(name), now_options.get(name)
-        if old != new:
-            changes.append(f"{name} ({old} → {new})")
-    return changes
+    asked: dict[str, Any] = {"the input files": [entry.sha256 for entry in manifest.input.files]}
+    asked |= {f"the file of --{name}": entry.sha256 for name, entry in manifest.extra_files.items()}
+    rig = manifest.rig.model_dump(mode="json", exclude={"quality", "sources"})
+    asked |= {f"the rig's {section}": content for section, content in rig.items()}
+    return asked | manifest.options
 
 
-def require_resumable(folder: Path | str, now: Manifest) -> None:
-    """Raise `BadInput` if `folder` holds results of other inputs or options; the message names the change."""
-    if not has_manifest(folder):
-        return
-    changes = changes_between(read_manifest(folder), now)
-    if changes:
-        raise BadInput(
-            f"{folder}: holds results made differently: {'; '.join(changes)}; add --overwrite to replace "
-            "them, or choose another --out"
-        )
+def rig_of_result(manifest: Manifest) -> Rig:
+    """Return the rig that a result was made with: as given, with what was found of its lamps."""
+    return manifest.known.with_rig(rig_from_entry(manifest.rig))
+
+
+def result_digest(manifest: Manifest) -> str:
+    """Return the SHA-256 of what shapes a reconstruction; frames may be added."""
+    content = [request_of_manifest(manifest), manifest.known.shapes(), manifest.input.frame_rate_hz]
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
+def numbers_of_ranges(ranges: Iterable[str], frame_count: int) -> tuple[int, ...]:
+    """Return the frames of ranges start:stop:step together, in order."""
+    numbers: set[int] = set()
+    for text in ranges:
+        numbers.update(FrameRange.from_text(text).numbers(frame_count))
+    return tuple(sorted(numbers))
+
+
+def missing_files(folder: Path, manifest: Manifest, wanted: Container[int]) -> list[str]:
+    """Return, a line each, which of the wanted frames are recorded as done while their files are gone."""
+    log, remedy = FrameLog(folder), "run `vntoolkit reconstruct` again: it makes what is missing"
+    if manifest.finished and not log.path.exists():
+        return [f"{FRAMES_NAME} is gone, so that nothing says which frames are done; {remedy}"]
+    done = {number for number in log.done() if number in wanted}
+    kinds_by_gone: dict[tuple[int, ...], list[str]] = {}
+    for kind in sorted(set(manifest.outputs) & set(FRAME_FILES)):
+        gone = done.difference(numbers_on_disk(folder / kind, FRAME_FILES[kind]))
+        if gone:
+            kinds_by_gone.setdefault(tuple(sorted(gone)), []).append(kind)
+    return [
+        f"{numbers_in_words(gone)} {'is' if len(gone) == 1 else 'are'} recorded as done, but files in "
+        f"{', '.join(kinds)} are gone; {remedy}"
+        for gone, kinds in kinds_by_gone.items()
+    ]
+
+
+def _numbers_of_run(folder: Path) -> set[int]:
+    numbers = set(FrameLog(folder).entries())
+    with contextlib.suppress(VntError):  # a manifest that is no longer readable
+        numbers.update(range(read_manifest(folder).input.frame_count))
+    return numbers
+
+
+RECONSTRUCTION = FolderKind(
+    verb="reconstruct",
+    holds="results",
+    record=MANIFEST_NAME,
+    files=(FRAMES_NAME, "contact.csv"),
+    frames={name: (suffix,) for name, suffix in FRAME_FILES.items()},
+    read=lambda path: read_manifest(path.parent),
+    text=text_from_model,
+    request=request_of_manifest,
+    numbers=_numbers_of_run,
+)
 
 
 def hashed(files: tuple[Path, ...] | list[Path]) -> list[SourceEntry]:
@@ -220,18 +330,3 @@ def now_utc() -> str:
     except (ValueError, OverflowError, OSError) as problem:
         raise BadInput(f"SOURCE_DATE_EPOCH: expected seconds since 1970, got '{fixed}'") from problem
     return moment.isoformat(timespec="seconds")
-
-
-def result_digest(manifest: Manifest) -> str:
-    """Return the SHA-256 of what shapes a reconstruction: footage, mask, background, rig and options.
-
-    Frames may be added and the footage may be named otherwise, as for `changes_between`.
-    """
-    content = [
-        [file.model_dump() for file in manifest.input.files],
-        manifest.input.frame_rate_hz,
-        {name: file.model_dump() for name, file in manifest.extra_files.items()},
-        manifest.rig.model_dump(exclude={"quality", "sources"}),
-        manifest.options,
-    ]
-    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()

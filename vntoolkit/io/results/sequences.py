@@ -8,7 +8,7 @@ uncertainty_px.npy (float32, (frames, n)) where there is any, and sequence.json.
 import json
 import logging
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
 from typing import BinaryIO
@@ -25,6 +25,7 @@ from vntoolkit.io.maps_and_meshes.arrays import map_npy
 from vntoolkit.io.maps_and_meshes.meshes import read_mesh, write_mesh
 
 _VERSION = 1
+SEQUENCE_FILES = ("template.ply", "vertices.npy", "uncertainty_px.npy", "sequence.json")
 
 _logger = logging.getLogger(__name__)
 
@@ -130,14 +131,6 @@ def read_mesh_sequence(folder: Path | str) -> MeshSequence:
     )
     sequence.require_finite(str(folder / "vertices.npy"))
     return sequence
-
-
-def remove_mesh_sequence(folder: Path) -> None:
-    """Remove the files of a moving mesh, and the folder once it is empty."""
-    for name in ("template.ply", "vertices.npy", "uncertainty_px.npy", "confidence.npy", "sequence.json"):
-        (folder / name).unlink(missing_ok=True)
-    with suppress(OSError):  # something else is left
-        folder.rmdir()
 
 
 class _GrowingArray:

@@ -1,0 +1,178 @@
+"""A block of consecutive frames in one process: read, found, integrated and written, each a frame ahead."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from vntoolkit.errors import VntError
+from vntoolkit.geometry.maps import NormalMap
+from vntoolkit.io.footage.decoding import EncodedFrame
+from vntoolkit.io.results.frame_log import FrameEntry
+from vntoolkit.io.results.manifest import Known
+from vntoolkit.native import loops_may_overlap
+from vntoolkit.options.reconstruction import OnError
+from vntoolkit.photometry.frame import ALL_LIT
+from vntoolkit.pipeline.frame_processor import Carried, FrameProcessor, PreparedFrame
+from vntoolkit.pipeline.outputs import FrameResult
+from vntoolkit.pipeline.request import Request
+from vntoolkit.pipeline.smoothing import smoothed_frames
+from vntoolkit.pipeline.threads import WriteBehind, read_ahead, side_by_side
+
+_WAITING = 1  # frames that lie between one thread and the next
+_SAMPLED = 4  # every fourth pixel of every fourth row tells a frame's expected error
+Block = tuple[range, frozenset[int]]  # consecutive frames, and those of them that are on disk already
+
+
+def begin_blocks(
+    request: Request, known: Known, threads: int | None
+) -> Callable[[Block], Iterator[FrameEntry]]:
+    """Return what processes a block in this process. threads: that it may use, None for as many as help."""
+    processor = FrameBlockProcessor(request, known, 2 if threads is None else min(2, threads))
+    return lambda block: processor.run(*block)
+
+
+class FrameBlockProcessor:
+    """Processes blocks of one capture; opens it once. threads: with 1, reading and processing take turns."""
+
+    def __init__(self, request: Request, known: Known, threads: int = 2) -> None:
+        self._request, self._threads = request, threads
+        self._footage = request.open_footage(threads)
+        options, mattes = request.options_with(known), self._footage.mattes
+        self._options = options
+        self._processor = FrameProcessor(
+            known.with_rig(request.rig),
+            options,
+            mattes.still,
+            self._footage.capture.background,
+            materials=known.materials,
+            blur_px=known.blur_px,
+        )
+        overlap = self._processor.finds_shadows and threads > 1 and loops_may_overlap()
+        self._lanes = 2 if overlap else 1  # frames whose normals are found at a time
+        self._carried = Carried()
+        if options.ties_depth or known.materials:
+            at = known.reference_frame
+            with contextlib.suppress(VntError):  # where it is met as a frame, it is reported
+                capture = self._footage.capture
+                frame = next(smoothed_frames(capture, range(at, at + 1), options.smoothing))
+                self._processor.set_reference(
+                    self._carried, frame, mattes.of(frame), ties_depth=options.ties_depth
+                )
+
+    def run(self, block: range, already_done: frozenset[int] = frozenset()) -> Iterator[FrameEntry]:
+        """Process a block and write its frames, but for those already on disk; yield a record per new frame.
+
+        All frames are computed, since a frame may start from the one before it. A record is yielded once the
+        frame's files are in place.
+        """
+        self._carried.reset()
+        frames = smoothed_frames(self._footage.capture, block, self._options.smoothing)
+        written: list[FrameEntry] = []
+
+        def write(done: _FrameAtWork) -> None:
+            if done.frame.number not in already_done:
+                written.append(self._written(done))
+
+        waiting = _WAITING if self._threads > 1 else 0
+        meanwhile = waiting if loops_may_overlap() else 0
+        with (
+            WriteBehind(write, _WAITING) as writer,
+            WriteBehind[_FrameAtWork](
+                lambda begun: writer.put(self._with_surface(begun)), meanwhile
+            ) as second,
+        ):
+            prepared = (
+                self._with_light(frame)
+                for frame in read_ahead(frames, waiting)
+                if not self._footage.mattes.missing([frame.number])
+            )
+            for _, begun in side_by_side(prepared, [self._with_normals] * self._lanes):
+                second.put(begun.result())
+                while written:
+                    yield written.pop(0)
+        yield from written
+
+    def _with_light(self, frame: EncodedFrame) -> _FrameAtWork:
+        mattes = self._footage.mattes
+
+        def prepared(begun: _FrameAtWork) -> _FrameAtWork:
+            matte = mattes.of(frame) if mattes.changes else None
+            return replace(begun, prepared=self._processor.prepared(frame, matte, self._carried))
+
+        return self._tried(prepared, _FrameAtWork(frame=frame))
+
+    def _with_normals(self, begun: _FrameAtWork) -> _FrameAtWork:
+        prepared = begun.prepared
+        if prepared is None:
+            return begun
+        return self._tried(
+            lambda to: replace(to, prepared=None, result=self._processor.normals(prepared)), begun
+        )
+
+    def _with_surface(self, begun: _FrameAtWork) -> _FrameAtWork:
+        result = begun.result
+        if result is None:
+            return begun
+        return self._tried(
+            lambda to: replace(to, result=self._processor.with_surface(result, to.frame, self._carried)),
+            begun,
+        )
+
+    def _tried(self, work: Callable[[_FrameAtWork], _FrameAtWork], before: _FrameAtWork) -> _FrameAtWork:
+        started = time.perf_counter()
+        try:
+            done = work(before)
+        except VntError as error:
+            if self._options.on_error is OnError.STOP:
+                raise
+            done = replace(before, prepared=None, result=None, failure=str(error))
+        return replace(done, seconds=before.seconds + time.perf_counter() - started)
+
+    def _written(self, done: _FrameAtWork) -> FrameEntry:
+        started = time.perf_counter()
+        if done.result is None:
+            return FrameEntry(number=done.frame.number, seconds=done.seconds, failure=done.failure)
+        self._request.folder.write(done.result)
+        return record_of(done.result, done.seconds + time.perf_counter() - started)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _FrameAtWork:
+    """What a frame became so far, None for what failed; the seconds spent on it; and why it failed."""
+
+    frame: EncodedFrame
+    prepared: PreparedFrame | None = None
+    result: FrameResult | None = None
+    seconds: float = 0.0
+    failure: str = ""
+
+
+def record_of(result: FrameResult, seconds: float) -> FrameEntry:
+    """Summarise a result."""
+    valid = result.normal_map.mask
+    shadowed = 0.0
+    if result.labels is not None and valid.any():
+        shadowed = float(np.mean(result.labels[valid] != ALL_LIT))
+    return FrameEntry(
+        number=result.number,
+        seconds=seconds,
+        valid_share=float(valid.mean()),
+        clipped_share=result.clipped_share,
+        shadowed_share=shadowed,
+        error_deg=_median_error(result.normal_map),
+        contact_mm2=None if result.contact is None else result.contact.area_mm2,
+        contact_depth_mm=None if result.contact is None else result.contact.depth_mm,
+    )
+
+
+def _median_error(normal_map: NormalMap) -> float | None:
+    if normal_map.error_deg is None:
+        return None
+    sampled = (slice(None, None, _SAMPLED), slice(None, None, _SAMPLED))
+    errors = normal_map.error_deg[sampled][normal_map.mask[sampled]]
+    return float(np.median(errors)) if errors.size else None

@@ -1,0 +1,152 @@
+"""What holds for a whole capture, found once on a few of its frames: before the first frame is reconstructed.
+
+Lamps, materials, near lamps, blur, and what is wrong with footage and rig: each is found by a part of its own
+that is imported where it is used.
+"""
+
+import logging
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vntoolkit.arrays import Mask
+from vntoolkit.diagnosis.finding import judge
+from vntoolkit.diagnosis.inspection import Examination, examine_capture
+from vntoolkit.errors import BadCapture, BadInput
+from vntoolkit.io.results.manifest import FindingEntry, Known, MaterialEntry
+from vntoolkit.photometry.frame import LinearFrame
+from vntoolkit.photometry.rig import Rig
+from vntoolkit.pipeline.frame_processor import FrameProcessor
+from vntoolkit.pipeline.request import Footage, Request, seeks_materials
+
+if TYPE_CHECKING:
+    from vntoolkit.materials.labelling import FrameStatistics
+
+logger = logging.getLogger(__name__)
+_DIGITS_OF_NEARNESS = 4
+_DIGITS_OF_BLUR = 2
+_SEAM_PX = 2  # to either side of a seam, where pixels are not judged: blur mixes two materials in them
+
+
+def prepare(request: Request, footage: Footage, numbers: Sequence[int]) -> Known:
+    """Find what holds for the frames `numbers`; log what is wrong.
+
+    Raises `FatalFinding` for what ruins normals, `BadInput` for a reference frame that is not there and for
+    materials that cannot be told, `BadCapture` for a first frame that shows nothing.
+    """
+    options, rig = request.effective_options, request.rig
+    found: dict[str, object] = {"reference_frame": _reference_frame(request, footage, numbers)}
+    examined = None
+    if not seeks_materials(rig, options):
+        examined = _examined(request, rig, footage, numbers)
+    rig, lamps_in_words = _with_found_lamps(request, footage, numbers)
+    if rig is not request.rig:
+        colours, doubts_deg = rig.response.light_colours, rig.response.light_doubts_deg
+        assert colours is not None
+        assert doubts_deg is not None
+        found |= {"light_colours": colours.tolist(), "light_doubts_deg": doubts_deg.tolist()}
+    materials: list[MaterialEntry] = []
+    seen = None
+    if not request.is_of_gel:
+        from vntoolkit.pipeline.measured_materials import measured_materials
+
+        measured = measured_materials(rig, options, footage, numbers, lamps_in_words)
+        materials, seen = measured.entries, measured.seen
+        found |= {"relative_albedo": measured.relative_albedo}
+    if examined is None or seeks_materials(rig, options):
+        told = None if seen is None else seen.state.statistics
+        examined = _examined(request, rig, footage, numbers, materials, told)
+    found |= {"blur_px": round(examined.blur_px, _DIGITS_OF_BLUR)}
+    if rig.response.variation is None and not request.is_of_gel:
+        found |= {"nearness": round(examined.nearness, _DIGITS_OF_NEARNESS)}
+    findings = [FindingEntry(check=f.check, level=f.level.value, text=f.text) for f in examined.findings]
+    known = Known.model_validate(found | {"findings": findings, "materials": materials})
+    near = known.with_rig(request.rig)
+    if seen is None or near.response.variation is None:
+        return known
+    from vntoolkit.pipeline.measured_materials import refitted_materials
+
+    again = refitted_materials(near, options, materials, footage, numbers, seen)
+    return known.model_copy(update={"materials": again})
+
+
+def _reference_frame(request: Request, footage: Footage, numbers: Sequence[int]) -> int:
+    there = footage.usable(numbers)
+    if not there:
+        raise BadInput(
+            f"{request.source}: the files or mattes of all frames {numbers[0]} to {numbers[-1]} are missing"
+        )
+    asked, count = request.options.reference_frame, footage.capture.info.frame_count
+    if asked is None:
+        return there[0]
+    if asked >= count:
+        raise BadInput(f"reference frame: the capture has only {count} frames")
+    return asked
+
+
+def _with_found_lamps(request: Request, footage: Footage, numbers: Sequence[int]) -> tuple[Rig, str]:
+    """Return the rig, with the lamps' colours where shadows tell them, and what they do not tell."""
+    if request.rig.response.light_colours is not None or request.is_of_gel:
+        return request.rig, ""
+    from vntoolkit.pipeline.found_lamps import find_lamps, looks_for_lamps
+
+    options = request.effective_options
+    if not looks_for_lamps(request.rig, options):
+        return request.rig, ""
+    lamps = find_lamps(request.rig, options, footage, numbers)
+    return lamps.rig, lamps.in_words
+
+
+def _examined(
+    request: Request,
+    rig: Rig,
+    footage: Footage,
+    numbers: Sequence[int],
+    materials: Sequence[MaterialEntry] = (),
+    told: "FrameStatistics | None" = None,
+) -> Examination:
+    """Log and return what the footage tells of mistakes; raise `FatalFinding` for one that ruins normals.
+
+    told: of the first frame, as materials were measured on it.
+    """
+    calibrated = rig if request.calibrated is None else replace(rig, transfer=request.calibrated)
+    try:
+        mask, judged = footage.mattes.judged(footage.capture, numbers)
+        alike = None
+        if materials:
+            alike = in_one_material(FrameProcessor(rig, request.options, mask), rig, materials, told)
+        examined = examine_capture(footage.capture, calibrated, mask, judged, alike)
+    except BadCapture as problem:  # a bad frame is reported when its turn comes
+        logger.debug("plausibility not checked: %s", problem)
+        return Examination(findings=[])
+    judge(examined.findings, request.allow)
+    return examined
+
+
+def in_one_material(
+    processor: FrameProcessor,
+    rig: Rig,
+    materials: Sequence[MaterialEntry],
+    told: "FrameStatistics | None" = None,
+) -> Callable[[LinearFrame], LinearFrame]:
+    """Return what makes a frame look as if its subject were of the rig's material."""
+    from vntoolkit.materials.labelling import LabelState, MaterialLabeller
+    from vntoolkit.materials.mixtures import near_seams
+    from vntoolkit.materials.relighting import relit
+
+    central = rig.response.central
+    reflectances = np.array([each.reflectance for each in materials])
+    pigments = np.array([each.pigment or (0.0, 0.0, 0.0) for each in materials])
+    labeller = MaterialLabeller(response=central, reflectances=reflectances)
+
+    def judged(frame: LinearFrame) -> LinearFrame:
+        # A backdrop's noise looks like dark paint. It would give the subject's rim a wrong label.
+        subject: Mask = processor.lit_subject(frame)
+        labels, _ = labeller.labels(processor.by_strength(frame), subject, LabelState(statistics=told))
+        # lengths alone tell paint here: a surface without paint would fit any M; none is thought to be 1
+        seen = relit(frame, central, labels, reflectances, pigments, mask=subject)
+        return replace(seen, clipped=seen.clipped | near_seams(labels, _SEAM_PX))
+
+    return judged
