@@ -21,21 +21,20 @@ from vntoolkit.arrays import Array, UInt16Array
 from vntoolkit.checks import require_positive
 from vntoolkit.errors import VntError
 from vntoolkit.geometry.maps import NormalMap
-from vntoolkit.io.files import ReadingLimits, reading_limits
+from vntoolkit.io.files import reading_limits
 from vntoolkit.io.footage.captures import Capture, CaptureOptions, open_capture
 from vntoolkit.io.footage.decoding import EncodedFrame
-from vntoolkit.io.footage.frame_range import Gaps
-from vntoolkit.io.footage.mattes import MatteOptions, Mattes, open_mattes
-from vntoolkit.io.footage.mosaics import SensorOptions
+from vntoolkit.io.footage.mattes import Mattes, open_mattes
 from vntoolkit.io.results.frame_log import FrameEntry
 from vntoolkit.native import loops_may_overlap, njit
+from vntoolkit.options.footage import Gaps, MatteOptions, ReadingLimits, SensorOptions
+from vntoolkit.options.normals import ShadowMethod
+from vntoolkit.options.reconstruction import DepthOffset, OnError, Product, ReconstructOptions
 from vntoolkit.photometry.frame import ALL_LIT
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import Transfer
 from vntoolkit.pipeline.frame_processor import FrameProcessor, SeenFrame
-from vntoolkit.pipeline.options import DepthOffset, OnError, Product, ReconstructOptions
 from vntoolkit.pipeline.outputs import FrameResult, ReconstructionFolder
-from vntoolkit.shadows.detector import ShadowMethod
 
 _WAITING = 1  # frames that lie between one thread and the next
 Item = TypeVar("Item")

@@ -16,23 +16,25 @@ from vntoolkit.integration.integrate import DepthAnchor, DepthIntegrator
 from vntoolkit.integration.slopes import rays_from_camera
 from vntoolkit.io.footage.decoding import EncodedFrame, linear_frame_from_encoded, resampler_of
 from vntoolkit.io.footage.gel_dots import DotFilter
-from vntoolkit.materials.labelling import MaterialLabeller
-from vntoolkit.materials.pixels import MaterialLabels
-from vntoolkit.materials.relighting import box_of, colours_of
+from vntoolkit.materials.labelling import FrameStatistics, LabelState, MaterialLabeller
+from vntoolkit.materials.mixtures import MaterialLabels
+from vntoolkit.materials.relighting import colours_of
+from vntoolkit.materials.split_frame import box_of
 from vntoolkit.meshing.surface import mesh_from_depth
 from vntoolkit.native import keep_freed_memory
 from vntoolkit.normals import expected_error
 from vntoolkit.normals.gel import GelInverter, drift_of_change
 from vntoolkit.normals.inversion import normals_from_encoded, normals_from_frame, relative_albedo_from_frame
+from vntoolkit.options.normals import ShadowMethod
+from vntoolkit.options.reconstruction import Product, ReconstructOptions
 from vntoolkit.photometry.frame import ALL_LIT, LinearFrame
 from vntoolkit.photometry.levelling import Box, leveller_of
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import Transfer, TransferCurve, encoded_from_linear
 from vntoolkit.pipeline.contact import contact_from_depth, rested
-from vntoolkit.pipeline.options import Product, ReconstructOptions
 from vntoolkit.pipeline.outputs import FrameResult
 from vntoolkit.shadows.contributions import brighter_than
-from vntoolkit.shadows.detector import ShadowDetector, ShadowMethod
+from vntoolkit.shadows.detector import ShadowDetector
 from vntoolkit.shadows.lamp_directions import LampDirections, directions_from_shadows, unlit_by_lamp
 from vntoolkit.shadows.recovery import recover_surface
 
@@ -117,11 +119,16 @@ class FrameProcessor:
         self._detector = ShadowDetector(self._central, options.shadows, self.camera)
         self._reflectances = np.array(reflectances, dtype=np.float64).reshape(-1, 3)
         self._labeller: MaterialLabeller | None = None
+        self._labelled_before = LabelState()
+        self._statistics: FrameStatistics | None = None  # of materials, as the reference frame told them
         if len(self._reflectances):
             self._labeller = MaterialLabeller(
-                self._central, self._reflectances, np.array(pigments, dtype=np.float64).reshape(-1, 3),
-                self.camera, self._leveller,
-            )  # fmt: skip
+                response=self._central,
+                reflectances=self._reflectances,
+                pigments=np.array(pigments, dtype=np.float64).reshape(-1, 3),
+                camera=self.camera,
+                leveller=self._leveller,
+            )
             self._bounds_deg = (expected_error.OF_ANGLE * np.array(errors_deg or [0.0])).astype(np.float32)
             self._paints = encoded_from_linear(
                 colours_of(self._reflectances, self._central), Transfer(curve=TransferCurve.SRGB)
@@ -145,15 +152,13 @@ class FrameProcessor:
                 self._anchor = DepthAnchor(self._integrated(result))
         else:
             self._labelled(frame, matte)
-        if self._labeller is not None:
-            self._labeller.keep()
+        self._statistics = self._labelled_before.statistics
         self.forget()
 
     def forget(self) -> None:
         """Drop everything that one frame hands to the next, so that a run may start at any block."""
         self._integrator = DepthIntegrator(self.camera, self._options.integration)
-        if self._labeller is not None:
-            self._labeller.forget()
+        self._labelled_before = LabelState(statistics=self._statistics)
 
     def process(self, frame: EncodedFrame, matte: Mask | None = None) -> FrameResult:
         """Invert, integrate and mesh one frame, as far as the options say.
@@ -217,8 +222,9 @@ class FrameProcessor:
             return SeenFrame(frame=frame, mask=self._mask)
         turned_deg = None
         if self._labeller is not None and materials is not None:
-            linear = self._labeller.relit(linear, materials, self._mask, box_of(self._mask))
-            turned_deg = self._labeller.turned_deg
+            linear, turned_deg, self._labelled_before = self._labeller.relit(
+                linear, materials, self._labelled_before, self._mask, box_of(self._mask)
+            )
             if self._bounds_deg.any():
                 turned_deg = expected_error.doubts_of_materials(materials, self._bounds_deg, turned_deg)
         return SeenFrame(
@@ -237,7 +243,8 @@ class FrameProcessor:
         if self._labeller is None:
             return linear, None
         self._mask = self.lit_subject(linear)
-        return linear, self._labeller.labels(linear, self._mask)
+        labels, self._labelled_before = self._labeller.labels(linear, self._mask, self._labelled_before)
+        return linear, labels
 
     def _normals(self, seen: SeenFrame) -> FrameResult:
         frame, mask, linear, residual_deg = seen.frame, seen.mask, seen.linear, self._residual_deg

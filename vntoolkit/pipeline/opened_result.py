@@ -17,7 +17,7 @@ from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
 from vntoolkit.geometry.mesh import Mesh, MeshSequence
 from vntoolkit.io.footage.captures import Capture, CaptureOptions, open_capture
 from vntoolkit.io.footage.decoding import linear_frame_from_encoded, resampler_of
-from vntoolkit.io.footage.frame_range import FrameRange, Gaps
+from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.maps_and_meshes.label_images import read_labels, read_materials
 from vntoolkit.io.maps_and_meshes.maps import read_depth_map, read_normal_map
 from vntoolkit.io.maps_and_meshes.meshes import read_mesh
@@ -25,6 +25,7 @@ from vntoolkit.io.results.frame_log import FrameEntry, FrameLog
 from vntoolkit.io.results.manifest import Manifest, read_manifest, result_digest
 from vntoolkit.io.results.sequences import read_mesh_sequence
 from vntoolkit.io.rigs import rig_from_entry
+from vntoolkit.options.footage import Gaps
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import Transfer, TransferCurve, encoded_from_linear
