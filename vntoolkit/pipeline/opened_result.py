@@ -242,11 +242,6 @@ class OpenedResult:
         """Numbers of the frames that have normals, in order."""
         return self.numbers
 
-    @property
-    def findings(self) -> list[FindingEntry]:
-        """What was found about footage and rig before the first frame."""
-        return self.manifest.findings or []
-
 
 def read_result(folder: Path | str) -> OpenedResult:
     """Open a folder that `reconstruct` wrote: `.normals(3)`, `.depth(3)`, `.mesh(3)`, `.findings`, `.frames`.
