@@ -19,7 +19,6 @@ from vntoolkit.calibration.fit import (
     ResponseFit,
     ResponseFitOptions,
     ResponseModel,
-    cone_of_normals_deg,
     fit_by_trimming,
     fit_quality,
     fit_response,
@@ -32,6 +31,7 @@ from vntoolkit.geometry.board_layout import NORMAL_IN_BOARD, BoardLayout
 from vntoolkit.geometry.camera import Camera, CameraModel
 from vntoolkit.geometry.rigid import RigidTransform
 from vntoolkit.native import one_opencv_thread
+from vntoolkit.photometry.fit_quality import cone_of_normals_deg
 from vntoolkit.photometry.response import HIGHEST_DEGREE, rgb_from_normals
 
 logger = logging.getLogger(__name__)

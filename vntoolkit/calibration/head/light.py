@@ -10,9 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from vntoolkit.arrays import BoolArray, FloatArray, IntArray, Points, read_only
-from vntoolkit.calibration.fit import ResponseModel, fit_quality, response_from_unknowns, warn_of_weak_fit
+from vntoolkit.calibration.fit import ResponseModel, fit_quality, response_from_unknowns
 from vntoolkit.calibration.head.samples import HeadRays, HeadSamples
 from vntoolkit.errors import BadCalibration, BadInput
+from vntoolkit.photometry.fit_quality import warn_of_weak_fit
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.rig import FitQuality
 
