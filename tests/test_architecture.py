@@ -17,7 +17,7 @@ FLOORS = {
     "arrays": 0, "errors": 0.1, "checks": 0.2, "native": 0.3, "display": 0.3,
     "solvers": 0.4, "geometry": 1, "photometry": 1.5,
     "io": 2, "calibration": 2, "materials": 2, "simulation": 2, "normals": 2, "shadows": 2, "integration": 2,
-    "meshing": 2, "tracking": 2, "skinning": 2, "evaluation": 2,
+    "meshing": 2, "tactile": 2, "tracking": 2, "skinning": 2, "evaluation": 2,
     "diagnosis": 2.5, "pipeline": 3, "report": 3.5, "live": 3.7,
     "cli": 4, "__main__": 5,
 }  # fmt: skip
@@ -46,6 +46,7 @@ DOORS = {
         "tracking/",
         "shadows/",
         "simulation/",
+        "tactile/",
         "native.py",
     ),
     "av": ("io/", "live/"),

@@ -5,7 +5,7 @@ The floors, from the ground up; imports go strictly down:
     0    arrays, errors, checks, native    foundations
     1    geometry, photometry              the objects that flow between the stages
     2    io, calibration, materials, simulation, normals, shadows,
-         integration, meshing, tracking, skinning, evaluation      stages; none imports another
+         integration, meshing, tactile, tracking, skinning, evaluation      stages; none imports another
     2.5  diagnosis                         whether footage, rig and result can be trusted
     3    pipeline                          stages joined, one file a job
     3.5  report                            figures, HTML pages, the viewer
@@ -67,6 +67,8 @@ _PUBLIC = {
     "Mesh": "vntoolkit.geometry.mesh",
     "read_mesh": "vntoolkit.io.maps_and_meshes.meshes",
     "write_mesh": "vntoolkit.io.maps_and_meshes.meshes",
+    "Gel": "vntoolkit.pipeline.gel",
+    "Touch": "vntoolkit.pipeline.gel",
     "SurfaceTracker": "vntoolkit.tracking.tracker",
     "MeshSequence": "vntoolkit.geometry.mesh",
     # the verbs of the command line

@@ -13,7 +13,6 @@ from tests.pipeline.conftest import SIZE, DomeCapture
 from tests.result_files import write_mesh_sequence
 from vntoolkit.__main__ import main
 from vntoolkit.calibration.lights import LightColours
-from vntoolkit.calibration.presses import PressOptions
 from vntoolkit.errors import BadCalibration, BadCapture, BadInput, BadMotion
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.mesh import Mesh, MeshSequence
@@ -42,6 +41,7 @@ from vntoolkit.pipeline.referenced_captures import read_capture
 from vntoolkit.pipeline.simulate import SimulationFolder, SimulationJob
 from vntoolkit.pipeline.tracked_folder import read_track_record, recorded_camera
 from vntoolkit.pipeline.truth_comparison import compare_with_truth
+from vntoolkit.tactile.presses import PressOptions
 
 __all__ = ["dome_result"]
 TRIANGLE = Mesh(vertices=np.eye(3), faces=np.array([[0, 1, 2]], dtype=np.int32))

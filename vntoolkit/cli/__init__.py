@@ -12,12 +12,12 @@ from cyclopts import App, Parameter
 
 from vntoolkit import __version__
 from vntoolkit.cli.flags import require_finite, require_new_outputs
+from vntoolkit.errors import BadInput
 
 # verb -> the line that `vntoolkit --help` shows
 VERBS: dict[str, str] = {
     "demo": "Run the whole chain on a simulated capture and write a report.",
     "rectify": "Resample footage of a tilted plane to square pixels.",
-    "circles": "Find the contact circles of presses of a tactile gel, and correct them.",
     "board": "Write the calibration board as a PDF, to scale.",
     "simulate": "Simulate a capture with ground truth.",
     "doctor": "Check the libraries, or check footage for faults that spoil normals.",
@@ -59,12 +59,17 @@ _ELSEWHERE = {
     "recipe list": "recipe:list_",
 }
 
+# verb that is gone -> what does its work now
+_REMOVED = {
+    "circles": "`vntoolkit calibrate presses --overlay circles.png` draws the circles over a grid; "
+    "--circle NAME u v radius corrects one",
+}
+
 # What `--help` ends with: a call that works on one's own files.
 EXAMPLES: dict[str, str] = {
     "demo": "vntoolkit demo --out demo",
     "rectify": "vntoolkit rectify presses --corners 12 9 308 11 4 231 316 229 --size-mm 18.6 14.3 "
     "--pixel-mm 0.03 --out flat",
-    "circles": "vntoolkit circles presses --background gel.png --out labels",
     "board": "vntoolkit board --out board.pdf",
     "simulate": "vntoolkit simulate sweater --out sweater --frames 0:10",
     "doctor": "vntoolkit doctor capture.mkv --rig rig.json",
@@ -82,7 +87,7 @@ EXAMPLES: dict[str, str] = {
     "calibrate board": "vntoolkit calibrate board board.mkv --square-mm 15.9 --out rig.json",
     "calibrate head": "vntoolkit calibrate head turn.mkv --out rig.json --report head.html",
     "calibrate lights": "vntoolkit calibrate lights lamps.txt --like capture.mkv --out rig.json",
-    "calibrate presses": "vntoolkit calibrate presses presses --background gel.png --labels labels "
+    "calibrate presses": "vntoolkit calibrate presses presses --background gel.png --overlay circles.png "
     "--ball-radius-mm 2 --pixel-mm 0.03 --out gel.json",
     "recipe list": "vntoolkit recipe list",
     "recipe run": "vntoolkit recipe run figure02 --quick",
@@ -128,6 +133,8 @@ def build_app(arguments: Sequence[str] = ()) -> App:
 
 def run_verb(arguments: Sequence[str]) -> Any:
     """Run what was typed, once it is sure that no output is an input; return what the verb does."""
+    if arguments and arguments[0] in _REMOVED:
+        raise BadInput(f"{arguments[0]} is gone: {_REMOVED[arguments[0]]}")
     app = build_app(arguments)
     verb, bound, _ = app.parse_args(arguments, exit_on_error=False, print_error=False)
     require_new_outputs(bound)

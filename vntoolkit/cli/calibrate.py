@@ -12,7 +12,6 @@ from vntoolkit.calibration.ball_lamps import LitBall
 from vntoolkit.calibration.board import BoardOptions
 from vntoolkit.calibration.fit import ResponseFit
 from vntoolkit.calibration.lights import LightColours
-from vntoolkit.calibration.presses import GelFit, PressOptions
 from vntoolkit.calibration.sphere import SphereOptions
 from vntoolkit.cli import flags
 from vntoolkit.cli.output import JSON, MESH, PAGE, PICTURE, ProgressBars, print_next, require_output
@@ -33,6 +32,8 @@ from vntoolkit.pipeline import calibrate
 from vntoolkit.pipeline import calibrate_presses as pipeline
 from vntoolkit.pipeline.calibrate import CalibrationJob
 from vntoolkit.pipeline.calibrate_head import HeadOptions, calibrate_head
+from vntoolkit.tactile.fit import GelFit
+from vntoolkit.tactile.presses import PressOptions
 
 _OF_LIGHTS = flags.Flags(without=("background", "single_light", "frames"))
 _FIT = flags.Flags(renamed={"method": "fit-method"})
@@ -288,6 +289,8 @@ def presses(
     background: Path,
     options: Annotated[PressOptions, flags.Flags()],
     labels: Path | None = None,
+    circle: Annotated[tuple[tuple[str, float, float, float], ...], Parameter(negative=())] = (),
+    overlay: Path | None = None,
     corners: flags.Corners = None,
     size_mm: flags.SizeMm = None,
     label_size: SizePx = None,
@@ -308,23 +311,35 @@ def presses(
     background
         Image of the untouched gel.
     labels
-        Folder of text files, NAME.txt for NAME.jpg: u v contact_radius in pixels of the rectified image.
-        Default: the contact circles are found.
+        A folder of text files, NAME.txt for NAME.jpg: u v contact_radius in pixels of the rectified image; an
+        image without one is passed over. Or a text file of lines NAME.jpg u v contact_radius; the circles of
+        other images are found. Default: all contact circles are found.
+    circle
+        Name of an image, and u v contact_radius in pixels of the rectified image: the circle of a press that
+        was passed over, or found beside its dent. May be given several times.
+    overlay
+        Also write a picture of all presses with their circles over a labelled grid, .png or .svg.
     label_size
         Width and height of the image that the labels refer to; default: the rectified one.
     """
     require_known_checks(allow, CHECK_NAMES)
-    require_output(out, JSON)
+    for path, suffixes in ((out, JSON), (overlay, PICTURE)):
+        require_output(path, suffixes)
     job = pipeline.PressJob(
         source=source,
         background=background,
         labels=labels,
+        circles=circle,
         transfer=flags.curve_from_text(transfer),
         sensor=sensor or SensorOptions(),
         rectification=flags.rectification_from_flags(corners, size_mm, options.pixel_mm),
         label_size=label_size,
         allow=allow,
     )
+    if overlay is not None:  # also of presses that no rig can be fitted to
+        from vntoolkit.report.presses import write_press_overlay
+
+        write_press_overlay(overlay, job)
     with ProgressBars() as bars:
         result = pipeline.calibrate_presses(job, options, partial(bars.reach, "read presses"))
     rig = result.rig
@@ -346,6 +361,7 @@ def _report_presses(result: pipeline.PressCalibration, options: PressOptions, la
         names = ", ".join(result.passed_over[:5]) + (" …" if len(result.passed_over) > 5 else "")
         without = "a dent that is symmetric" if labels is None else "a label"
         print(f"  passed over       {len(result.passed_over)} images without {without}: {names}")
+        print("                    (--overlay circles.png draws them, --circle gives one a circle)")
     radius = options.ball_radius_mm
     print(f"  ball              {radius:g} mm in radius, {2 * radius:g} mm across")
     width, height = camera.width * options.pixel_mm, camera.height * options.pixel_mm

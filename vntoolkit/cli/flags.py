@@ -108,7 +108,7 @@ SingleLight: TypeAlias = Annotated[
 P = ParamSpec("P")
 R = TypeVar("R")
 _PARAMETER = "reading_limits"
-_OUTPUTS = ("out", "figure", "mesh", "report", "html", "record_to")  # where they are keywords
+_OUTPUTS = ("out", "figure", "mesh", "report", "html", "overlay", "record_to")  # where they are keywords
 _PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".exr")
 
 

@@ -27,6 +27,7 @@ from vntoolkit.live import capture
 from vntoolkit.live.frames import FrameView, LiveProcessor, LiveResult
 from vntoolkit.live.page import LiveViewer
 from vntoolkit.photometry.rig import Rig
+from vntoolkit.pipeline.gel import Gel
 from vntoolkit.report.local_server import ViewerOptions
 from vntoolkit.shadows.detector import ShadowMethod
 
@@ -104,11 +105,16 @@ def live(
         view = replace(view, rectification=_rectification(corners, size_mm, pixel_mm))
     read.require_size(*view.size(source.width, source.height), source.name)
     judge(findings_from_rig(read), allow)
+    plate = None if background is None else next(open_capture(background).encoded_frames())
+    if read.gel is not None and plate is not None:
+        gel = Gel(read, view.cut(plate).values, allow=allow)
+        if video is not None:  # a camera's first frame is yet to come
+            gel(view.cut(_first_frame(source, video)).values)
     processor = LiveProcessor(
         read,
         view,
         mask=None if mask is None else read_mask(mask),
-        background=None if background is None else next(open_capture(background).encoded_frames()),
+        background=plate,
         key=MatteOptions(key=key).key,
         shadows=shadows,
     )
@@ -116,9 +122,9 @@ def live(
     recorder = capture.LiveRecorder(record_to, source.frame_rate_hz)
     _watch(source, processor, recorder, seconds, viewer, realtime)
     if recorder.files:
-        plate: list[str | Path] = [] if background is None else ["--background", background]
-        plate += [] if key is None else ["--key", f"{key:g}"]
-        print_next("reconstruct", recorder.files[-1], "--rig", rig, *plate, "--out", "result")
+        how: list[str | Path] = [] if background is None else ["--background", background]
+        how += [] if key is None else ["--key", f"{key:g}"]
+        print_next("reconstruct", recorder.files[-1], "--rig", rig, *how, "--out", "result")
 
 
 def _watch(

@@ -17,11 +17,11 @@ from vntoolkit.io.footage.decoding import EncodedFrame, linear_frame_from_encode
 from vntoolkit.io.footage.mattes import PlateKey
 from vntoolkit.native import loops_may_overlap, njit
 from vntoolkit.photometry.rig import Rig
-from vntoolkit.pipeline.contact import Contact, contact_from_depth, rested
 from vntoolkit.pipeline.frame_processor import FrameProcessor
 from vntoolkit.pipeline.options import MaterialSearch, Product, ReconstructOptions
 from vntoolkit.pipeline.outputs import FrameResult
 from vntoolkit.shadows.detector import ShadowMethod
+from vntoolkit.tactile.contact import Contact, contact_from_depth, rested
 
 Begun = tuple[FrameResult, tuple[str, ...]]  # normals, and warnings of the exposure
 _CLIPPED_SHARE = 0.01  # of all pixels: more ruins normals

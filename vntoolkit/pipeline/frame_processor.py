@@ -15,20 +15,17 @@ from vntoolkit.integration.expected_error import with_expected_depth_error
 from vntoolkit.integration.integrate import DepthAnchor, DepthIntegrator
 from vntoolkit.integration.slopes import rays_from_camera
 from vntoolkit.io.footage.decoding import EncodedFrame, linear_frame_from_encoded, resampler_of
-from vntoolkit.io.footage.gel_dots import DotFilter
 from vntoolkit.materials.labelling import MaterialLabeller
 from vntoolkit.materials.pixels import MaterialLabels
 from vntoolkit.materials.relighting import box_of, colours_of
 from vntoolkit.meshing.surface import mesh_from_depth
 from vntoolkit.native import keep_freed_memory
 from vntoolkit.normals import expected_error
-from vntoolkit.normals.gel import GelInverter, drift_of_change
 from vntoolkit.normals.inversion import normals_from_encoded, normals_from_frame, relative_albedo_from_frame
 from vntoolkit.photometry.frame import ALL_LIT, LinearFrame
 from vntoolkit.photometry.levelling import Box, leveller_of
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import Transfer, TransferCurve, encoded_from_linear
-from vntoolkit.pipeline.contact import contact_from_depth, rested
 from vntoolkit.pipeline.options import Product, ReconstructOptions
 from vntoolkit.pipeline.outputs import FrameResult
 from vntoolkit.pipeline.painted_surface import PaintedSurface
@@ -36,6 +33,9 @@ from vntoolkit.shadows.contributions import brighter_than
 from vntoolkit.shadows.detector import ShadowDetector, ShadowMethod
 from vntoolkit.shadows.lamp_directions import LampDirections, directions_from_shadows, unlit_by_lamp
 from vntoolkit.shadows.recovery import recover_surface
+from vntoolkit.tactile.contact import contact_from_depth, rested
+from vntoolkit.tactile.dots import DotFilter
+from vntoolkit.tactile.inversion import GelInverter, drift_of_change
 
 _SAMPLES = (slice(None, None, 4),) * 2  # these pixels tell how bright a subject is
 

@@ -10,8 +10,8 @@ from vntoolkit.io.maps_and_meshes.label_images import write_labels, write_mask, 
 from vntoolkit.io.maps_and_meshes.maps import write_depth_map, write_normal_map
 from vntoolkit.io.maps_and_meshes.meshes import write_mesh
 from vntoolkit.materials.pixels import MaterialLabels
-from vntoolkit.pipeline.contact import Contact
 from vntoolkit.shadows.lamp_directions import LampDirections
+from vntoolkit.tactile.contact import Contact
 
 # folder -> suffix of a frame's file in it
 FRAME_FILES = {

@@ -33,6 +33,7 @@ from vntoolkit.pipeline.block_work import Block, BlockWorker, ReconstructionJob
 from vntoolkit.pipeline.cluster import require_scheduler, run_blocks_on_cluster
 from vntoolkit.pipeline.found_lamps import with_found_lamps
 from vntoolkit.pipeline.frame_processor import FrameProcessor
+from vntoolkit.pipeline.gel import findings_from_footage
 from vntoolkit.pipeline.measured_materials import (
     FirstFrames,
     MeasuredMaterials,
@@ -115,6 +116,11 @@ def reconstruct(
     capture = job.open_capture()
     job.rig.require_background(job.background is not None)
     job.rig.require_size(capture.info.width, capture.info.height, job.source)
+    if job.options.distance_m is not None and not job.rig.camera.is_perspective and job.rig.gel is None:
+        logger.warning(
+            "--distance changes nothing: the rig's camera is orthographic, so depth stays in its own unit; "
+            "calibrate with --camera or --focal-px for a perspective one"
+        )
     given = job.rig.response.light_colours
     numbers = frames.numbers(capture.info.frame_count)
     asked = frames.numbers(capture.info.promised_frame_count)
@@ -279,6 +285,9 @@ def _require_plausible(
     try:
         mask, numbers = mattes.judged(capture, numbers)
         examined = examine_capture(capture, rig, mask, numbers, _in_one_material(job, mask, labeller))
+        if rig.gel is not None:
+            of_gel = findings_from_footage(rig, capture, numbers)
+            examined = replace(examined, findings=[*examined.findings, *of_gel])
     except BadCapture as problem:  # a bad frame is reported when its turn comes
         logger.debug("plausibility not checked: %s", problem)
         return Examination(findings=[])
