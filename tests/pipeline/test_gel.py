@@ -14,9 +14,9 @@ from vntoolkit.errors import BadCapture, BadInput
 from vntoolkit.geometry.rectification import Rectification
 from vntoolkit.io.footage.images import write_png
 from vntoolkit.io.rigs import read_rig, write_rig
+from vntoolkit.options.calibration import PressOptions
 from vntoolkit.pipeline.calibrate_presses import PressJob, calibrate_presses
 from vntoolkit.pipeline.gel import Gel
-from vntoolkit.tactile.presses import PressOptions
 
 BALL = PressOptions(ball_radius_mm=2.4, pixel_mm=0.1)
 

@@ -12,13 +12,14 @@ from tests.dome_result import DomeResult, dome_result
 from tests.pipeline.conftest import SIZE, DomeCapture
 from tests.result_files import write_mesh_sequence
 from vntoolkit.__main__ import main
-from vntoolkit.calibration.lights import LightColours
 from vntoolkit.errors import BadCalibration, BadCapture, BadInput, BadMotion
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.mesh import Mesh, MeshSequence
 from vntoolkit.geometry.motion import Motion, Skeleton
 from vntoolkit.io.footage.images import write_png
 from vntoolkit.io.rigs import write_rig
+from vntoolkit.options.calibration import LightColours, PressOptions
+from vntoolkit.options.reconstruction import ReconstructOptions
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline import simulate
 from vntoolkit.pipeline.block_work import ReconstructionJob
@@ -34,14 +35,12 @@ from vntoolkit.pipeline.evaluate import (
     surface_cases,
 )
 from vntoolkit.pipeline.opened_result import open_result
-from vntoolkit.pipeline.options import ReconstructOptions
 from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.reconstruct import reconstruct
 from vntoolkit.pipeline.referenced_captures import read_capture
 from vntoolkit.pipeline.simulate import SimulationFolder, SimulationJob
 from vntoolkit.pipeline.tracked_folder import read_track_record, recorded_camera
 from vntoolkit.pipeline.truth_comparison import compare_with_truth
-from vntoolkit.tactile.presses import PressOptions
 
 __all__ = ["dome_result"]
 TRIANGLE = Mesh(vertices=np.eye(3), faces=np.array([[0, 1, 2]], dtype=np.int32))

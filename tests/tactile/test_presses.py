@@ -7,17 +7,12 @@ import pytest
 
 from vntoolkit.calibration.varying import VariationOptions, fit_varying_response
 from vntoolkit.errors import BadCalibration, BadInput
+from vntoolkit.options.calibration import LabelOffset, PressOptions
 from vntoolkit.photometry.fit_quality import angles_deg
 from vntoolkit.photometry.response import LightResponse, rgb_from_normals
 from vntoolkit.tactile.circles import Press, find_contact_circle
 from vntoolkit.tactile.fit import fit_gel_to_presses, fit_label_offset
-from vntoolkit.tactile.presses import (
-    LabelOffset,
-    PressOptions,
-    PressSamples,
-    normals_of_press,
-    samples_from_press,
-)
+from vntoolkit.tactile.presses import PressSamples, normals_of_press, samples_from_press
 from vntoolkit.tactile.response import normals_from_change
 
 MATRIX = np.array([[0.4, 0.1, -0.42], [-0.2, 0.35, -0.45], [-0.15, -0.35, -0.5]])

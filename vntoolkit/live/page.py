@@ -19,8 +19,9 @@ from vntoolkit.errors import BadInput, VntError
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.live.capture import LatencyMeter, LiveFigures, LiveRecorder, TimedFrame
 from vntoolkit.live.frames import LiveResult, exposure_warnings
+from vntoolkit.options.pages import ViewerOptions
 from vntoolkit.report import scene
-from vntoolkit.report.local_server import LocalServer, ViewerOptions
+from vntoolkit.report.local_server import LocalServer
 from vntoolkit.tactile.contact import Contact
 
 _CAPTION_S = 0.4  # numbers that change faster cannot be read

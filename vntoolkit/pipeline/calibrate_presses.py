@@ -17,10 +17,10 @@ from vntoolkit.io.atomic import sole_writer
 from vntoolkit.io.files import read_text, source_file
 from vntoolkit.io.footage.captures import Capture, CaptureOptions, open_capture
 from vntoolkit.io.footage.decoding import rectify_frame
-from vntoolkit.io.footage.frame_range import Gaps
 from vntoolkit.io.footage.images import write_png
-from vntoolkit.io.footage.mosaics import SensorOptions
 from vntoolkit.io.footage.sequence import CaptureKind
+from vntoolkit.options.calibration import LabelOffset, PressOptions
+from vntoolkit.options.footage import Gaps, SensorOptions
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import (
@@ -33,7 +33,7 @@ from vntoolkit.tactile.circles import FoundCircle, Press, find_contact_circle, s
 from vntoolkit.tactile.dots import DotFilter
 from vntoolkit.tactile.fit import GelFit, angle_of_one_matrix, fit_gel_to_presses, largest_label_offset
 from vntoolkit.tactile.inversion import change_without_drift
-from vntoolkit.tactile.presses import LabelOffset, PressOptions, PressSamples, samples_from_press
+from vntoolkit.tactile.presses import PressSamples, samples_from_press
 from vntoolkit.tactile.session import untouched_terms
 
 _SEED = 0

@@ -24,11 +24,12 @@ import numpy as np
 
 from vntoolkit.arrays import FloatArray, Mask, Points, Points2, Vector3
 from vntoolkit.errors import BadCalibration, BadRig
+from vntoolkit.options.calibration import LabelOffset, PressOptions
 from vntoolkit.photometry.fit_quality import angles_deg, cone_of_normals_deg, warn_of_weak_fit
 from vntoolkit.photometry.gel import TERM_DEGREES, TERMS, GelResponse
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.rig import FitQuality
-from vntoolkit.tactile.presses import LabelOffset, PressOptions, PressPairs, PressSamples, pairs_from_samples
+from vntoolkit.tactile.presses import PressPairs, PressSamples, pairs_from_samples
 from vntoolkit.tactile.response import (
     correction_terms,
     first_estimate,
