@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.head_truth import HeadTruth
-from vntoolkit.calibration.fit import angles_deg
+from vntoolkit.photometry.fit_quality import angles_deg
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.rigs import read_rig
 from vntoolkit.options.head import Features, FollowOptions, HeadOptions

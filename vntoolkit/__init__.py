@@ -6,7 +6,7 @@ The floors, from the ground up; imports go strictly down:
     1    geometry, photometry              the objects that flow between the stages
     1.8  options                           option types and enums of all verbs
     2    io, calibration, materials, simulation, normals, shadows,
-         integration, meshing, tracking, skinning, evaluation      stages; none imports another
+         integration, meshing, tactile, tracking, skinning, evaluation      stages; none imports another
     2.5  diagnosis                         whether footage, rig and result can be trusted
     3    pipeline                          stages joined, one file a job
     3.5  report                            figures, HTML pages, the viewer
@@ -34,7 +34,6 @@ if TYPE_CHECKING:  # what editors and type checkers know; a test holds it to the
     from vntoolkit.cli.calibrate import calibrate_presses as calibrate_presses
     from vntoolkit.cli.calibrate import calibrate_sphere as calibrate_sphere
     from vntoolkit.cli.calibrate import rectify as rectify
-    from vntoolkit.cli.circles import find_circles as find_circles
     from vntoolkit.cli.demo import demo as demo
     from vntoolkit.cli.doctor import inspect_footage as inspect_footage
     from vntoolkit.cli.dress import dress as dress
@@ -100,6 +99,8 @@ if TYPE_CHECKING:  # what editors and type checkers know; a test holds it to the
     from vntoolkit.photometry.response import LightResponse as LightResponse
     from vntoolkit.photometry.rig import Rig as Rig
     from vntoolkit.photometry.transfer import Transfer as Transfer
+    from vntoolkit.pipeline.gel import Gel as Gel
+    from vntoolkit.pipeline.gel import Touch as Touch
     from vntoolkit.pipeline.opened_result import read_result as read_result
     from vntoolkit.shadows.detector import ShadowDetector as ShadowDetector
     from vntoolkit.shadows.recovery import recover_normals as recover_normals
@@ -134,6 +135,8 @@ _PUBLIC = {
     "write_mesh": "vntoolkit.io.maps_and_meshes.meshes",
     "read_result": "vntoolkit.pipeline.opened_result",
     "evaluate_normals": "vntoolkit.evaluation.angular_error",
+    "Gel": "vntoolkit.pipeline.gel",
+    "Touch": "vntoolkit.pipeline.gel",
     "SurfaceTracker": "vntoolkit.tracking.tracker",
     "MeshSequence": "vntoolkit.geometry.mesh",
     # options, and the methods that they name
@@ -173,7 +176,6 @@ _PUBLIC = {
     "calibrate_lights": "vntoolkit.cli.calibrate",
     "calibrate_presses": "vntoolkit.cli.calibrate",
     "rectify": "vntoolkit.cli.calibrate",
-    "find_circles": "vntoolkit.cli.circles",
     "reconstruct": "vntoolkit.cli.reconstruct",
     "track": "vntoolkit.cli.track",
     "session": "vntoolkit.cli.session",

@@ -127,3 +127,24 @@ def test_refusals(rng) -> None:
         fit_response_to_sphere(grey, camera, mask)
     with pytest.raises(BadInput, match="rim share"):
         SphereOptions(rim_share=0.7)
+
+
+def test_a_mask_beside_the_ball_is_refused(rng) -> None:
+    camera, centre, radius = BALLS["orthographic"]
+    frame, mask = draw_ball(camera, centre, radius, rng)
+    with pytest.raises(BadCalibration, match=r"mask lies beside the ball by \(-9, -?0\) pixels"):
+        fit_response_to_sphere(frame, camera, np.roll(mask, 9, axis=1))
+    fit_response_to_sphere(frame, camera, np.roll(mask, 1, axis=1))  # a mask by hand
+
+
+def test_a_shiny_ball_is_named(rng) -> None:
+    camera, centre, radius = BALLS["orthographic"]
+    _, mask = draw_ball(camera, centre, radius, rng)
+    normals = sphere_normals(outline_from_mask(mask), camera).normals_in_camera
+    halfway = DIRECTIONS + np.array([0, 0, -1])
+    halfway /= np.linalg.norm(halfway, axis=1, keepdims=True)
+    spots = np.maximum(normals @ halfway.T, 0) ** 400 * 0.9  # each lamp's mirror image
+    rgb = np.where(mask[..., None], spots + rng.normal(0, 0.001, spots.shape), 0.0)
+    frame = LinearFrame(rgb=rgb.astype(np.float32), clipped=np.zeros(mask.shape, bool))
+    with pytest.raises(BadCalibration, match="shiny"):
+        fit_response_to_sphere(frame, camera, mask)

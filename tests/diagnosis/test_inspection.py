@@ -1,18 +1,22 @@
 """The doctor finds what ruins normals, and nothing where nothing is wrong."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from vntoolkit.__main__ import main
 from vntoolkit.cli.output import print_table
 from vntoolkit.diagnosis.finding import Level
-from vntoolkit.diagnosis.inspection import inspect_capture
+from vntoolkit.diagnosis.inspection import findings_from_clipping, inspect_capture
+from vntoolkit.diagnosis.rig_checks import check_camera
 from vntoolkit.errors import BadCapture
-from vntoolkit.geometry.camera import Camera
+from vntoolkit.geometry.camera import Camera, CameraModel
 from vntoolkit.io.footage.images import read_image, write_png
 from vntoolkit.io.footage.video import write_video
 from vntoolkit.io.maps_and_meshes.label_images import read_mask
 from vntoolkit.io.rigs import write_rig
+from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse, rgb_from_normals
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import Transfer, encoded_from_linear
@@ -151,6 +155,43 @@ def test_the_real_gel_is_warned_about(real_data):
         "chroma subsampling 4:2:0 costs nothing on smooth surfaces, and up to 7 degrees"
         in _texts(report, Level.WARNING)[0]
     )
+
+
+def test_clipping_below_full_scale_is_found(rng):
+    light = np.round(255 * rng.gamma(4.0, 0.1, (60, 80, 3)).clip(0, 0.95)).astype(np.float32) / 255
+    light[light > 0.9] = 0.9 - light[light > 0.9] / 4
+    nothing = np.zeros(light.shape[:2], bool)
+
+    def found(rgb):
+        return findings_from_clipping([LinearFrame(rgb=rgb, clipped=nothing)], None)
+
+    assert not found(light)
+    assert not found((np.round(178 + rng.normal(0, 1.5, light.shape)) / 255).astype(np.float32))  # a wall
+    cut = light.copy()
+    cut[..., 1] = np.minimum(light[..., 1], 0.6)
+    (finding,) = found(cut)
+    assert "the green channel ends at 60%" in finding.problem
+
+
+def test_cameras_that_no_lens_can_be_are_named(rig):
+    def found(matrix, model=CameraModel.PINHOLE, distortion=(0, 0, 0, 0)):
+        camera = Camera(
+            model=model, width=96, height=72, matrix=np.array(matrix), distortion=np.array(distortion, float)
+        )
+        return [finding.problem for finding in check_camera(replace(rig, camera=camera))]
+
+    sound = [[338.0, 0, 47.5], [0, 338.0, 35.5], [0, 0, 1]]
+    assert not found(sound)
+    assert not found(sound, CameraModel.OPENCV, (-0.3, 0.1, 0.001, 0.001))
+    for wrong, line in (
+        ([[1014.0, 0, 47.5], [0, 338.0, 35.5], [0, 0, 1]], "focal lengths"),
+        ([[338.0, 0, 0.5], [0, 338.0, 0.5], [0, 0, 1]], "principal point"),
+        ([[338.0, 200.0, 47.5], [0, 338.0, 35.5], [0, 0, 1]], "skewed"),
+    ):
+        (problem,) = found(wrong)
+        assert line in problem
+    (problem,) = found([[50.0, 0, 47.5], [0, 50.0, 35.5], [0, 0, 1]], CameraModel.OPENCV, (-0.5, 0, 0, 0))
+    assert "folds" in problem
 
 
 def test_a_missing_file_is_one_line(tmp_path):

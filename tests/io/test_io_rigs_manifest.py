@@ -113,7 +113,7 @@ def _changed(rig, *path, value):
         (("colour", "transfer"), "log", "expected linear, srgb, bt709, gamma:G"),
         (("colour", "order"), "bgr", r"colour\.order: input should be 'rgb'"),
         (("sources", 0, "sha256"), "12", r"sources\.0\.sha256"),
-        (("version",), 7, "is of version 7, this program reads 1 to 6"),
+        (("version",), 8, "is of version 8, this program reads 1 to 7"),
     ],
 )
 def test_a_bad_rig_is_one_line_that_names_the_key(rig, path, value, line):

@@ -14,11 +14,13 @@ from vntoolkit.diagnosis.press_checks import (
     check_press_transfer,
 )
 from vntoolkit.geometry.maps import DepthMap
-from vntoolkit.io.footage.gel_dots import DotFilter
 from vntoolkit.io.footage.images import read_image, write_png
 from vntoolkit.io.maps_and_meshes.maps import read_depth_map, read_normal_map
 from vntoolkit.io.rigs import read_rig
-from vntoolkit.pipeline.contact import rested
+from vntoolkit.pipeline.calibrate_presses import PressJob, PressReader
+from vntoolkit.tactile.circles import Press
+from vntoolkit.tactile.contact import rested
+from vntoolkit.tactile.dots import DotFilter
 
 
 @pytest.fixture(scope="module")
@@ -136,6 +138,36 @@ def test_labels_of_a_picture_of_another_size_are_refused(
     size = ["--label-size", str(round(1.2 * WIDTH)), str(round(1.2 * HEIGHT))]
     assert calibrate(sensor, tmp_path / "rig.json", *labels, *size) == 0
     assert "as labelled in" in capsys.readouterr().out
+
+
+def test_circles_are_drawn_over_a_grid_and_corrected_by_hand(
+    sensor: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rig, overlay, labels = tmp_path / "rig.json", tmp_path / "circles.png", tmp_path / "circles.txt"
+    u, v, _ = (float(word) / 1.2 for word in (sensor / "labels" / "press-3.txt").read_text().split())
+    circle = ["--circle", "press-3.png", str(u), str(v), "17", "--circle", "press-5.png"]
+    assert calibrate(sensor, rig, *circle, "20", "30", "17", "--overlay", str(overlay)) == 0
+    assert "contact circles   12, found" in capsys.readouterr().out
+    assert read_image(overlay).shape[2] >= 3
+    reader = PressReader(
+        PressJob(
+            source=str(sensor / "presses"), background=sensor / "background.png",
+            circles=(("press-3.png", u, v, 17.0),),
+        )
+    )  # fmt: skip
+    assert reader.labelled("press-3.png") == Press(u_px=u, v_px=v, radius_px=17)
+    assert reader.labelled("press-4.png") is None
+    labels.write_text(f"press-3.png {u} {v} 17\n\n")
+    assert calibrate(sensor, rig, "--labels", str(labels)) == 0
+    for text, line in (
+        ("press-3.png 1 2", f"{labels} line 1: expected three numbers"),
+        ("press-99.png 1 2 3", "circle of press-99.png: expected an image of"),
+    ):
+        labels.write_text(text)
+        assert calibrate(sensor, rig, "--labels", str(labels)) == 1
+        assert line in capsys.readouterr().err
+    assert main(["circles", "presses"]) == 1
+    assert "--overlay circles.png" in capsys.readouterr().err
 
 
 def test_a_diameter_given_as_the_radius_and_clipped_presses_are_said(

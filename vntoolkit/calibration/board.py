@@ -17,7 +17,6 @@ from vntoolkit.calibration.board_detection import BoardSighting
 from vntoolkit.calibration.fit import (
     Design,
     ResponseFit,
-    cone_of_normals_deg,
     fit_by_trimming,
     fit_quality,
     fit_response,
@@ -30,6 +29,7 @@ from vntoolkit.geometry.camera import Camera, CameraModel
 from vntoolkit.geometry.rigid import RigidTransform
 from vntoolkit.native import one_opencv_thread
 from vntoolkit.options.calibration import BoardOptions, IntrinsicsOptions, ResponseModel
+from vntoolkit.photometry.fit_quality import cone_of_normals_deg
 from vntoolkit.photometry.response import rgb_from_normals
 
 logger = logging.getLogger(__name__)

@@ -4,7 +4,6 @@ Every calibration object (ball, board, head) gives such pairs. Two methods leave
 pairs: trimmed least squares, and MSAC.
 """
 
-import logging
 from dataclasses import dataclass
 from typing import Self
 
@@ -14,6 +13,7 @@ from vntoolkit.arrays import BoolArray, FloatArray, IntArray, Mask, Points, Poin
 from vntoolkit.checks import checks_kinds, require_finite, require_shape
 from vntoolkit.errors import BadCalibration, BadInput, BadRig
 from vntoolkit.options.calibration import FitMethod, ResponseFitOptions, ResponseModel
+from vntoolkit.photometry.fit_quality import angles_deg, cone_of_normals_deg, warn_of_weak_fit
 from vntoolkit.photometry.response import LightResponse, scaled_normals_from_rgb
 from vntoolkit.photometry.rig import FitQuality
 
@@ -23,10 +23,6 @@ _FLATTEST_DESIGN = 5e-3  # smallest over largest singular value of the normals t
 _SMALLEST_DETERMINANT = 0.02  # of three unit normals (or of four with ambient): below it noise decides
 _LARGEST_CONDITION = 1e3  # of a sampled M: no such rig is usable
 _SCORED_PAIRS = 4000  # a cost over more pairs ranks the samples no better
-logger = logging.getLogger(__name__)
-_NARROW_CONE_DEG = 20.0  # half-angle: narrower, a percent of noise in the colours tilts M by degrees
-_LARGE_CONDITION_NUMBER = 30.0
-_SHARE_IN_CONE = 95.0
 _DRAWS = 2000  # minimal samples of MSAC
 
 
@@ -243,32 +239,3 @@ def fit_quality(
         samples=len(normals),
         cone_deg=cone_of_normals_deg(normals),
     )
-
-
-def angles_deg(first: Points, second: Points) -> Points:
-    """Angle in degrees between corresponding vectors of any length, (n, 3) each; exact near 0."""
-    cross = np.linalg.norm(np.cross(first, second), axis=-1)
-    return np.rad2deg(np.arctan2(cross, np.sum(first * second, axis=-1)))
-
-
-def cone_of_normals_deg(normals: Points) -> float:
-    """Half-angle of the narrowest cone about the mean direction that holds 95 % of the normals (n, 3)."""
-    axis = normals.mean(axis=0)
-    return float(np.percentile(angles_deg(normals, np.broadcast_to(axis, normals.shape)), _SHARE_IN_CONE))
-
-
-def warn_of_weak_fit(quality: FitQuality) -> None:
-    """Log a warning where the normals span too narrow a cone or M is badly conditioned."""
-    if quality.cone_deg < _NARROW_CONE_DEG:
-        logger.warning(
-            "the normals seen lie within %.0f degrees of their mean: the light response beyond that is a "
-            "guess; tilt the target further (at least %.0f degrees)",
-            quality.cone_deg,
-            _NARROW_CONE_DEG,
-        )
-    if quality.condition_number > _LARGE_CONDITION_NUMBER:
-        logger.warning(
-            "M has condition number %.0f: noise is amplified as much; move the lights further apart or make "
-            "their colours purer (below 10 is good)",
-            quality.condition_number,
-        )

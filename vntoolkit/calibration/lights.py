@@ -7,10 +7,10 @@ from itertools import combinations, permutations
 import numpy as np
 
 from vntoolkit.arrays import FloatArray, IntArray, Mask, Matrix3, Points, Vector3
-from vntoolkit.calibration.fit import warn_of_weak_fit
 from vntoolkit.checks import require_finite, require_positive, require_same_size, require_shape
 from vntoolkit.errors import BadCalibration, BadRig
 from vntoolkit.options.calibration import LightColours
+from vntoolkit.photometry.fit_quality import warn_of_weak_fit
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.rig import FitQuality

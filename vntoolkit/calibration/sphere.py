@@ -7,20 +7,24 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from vntoolkit.arrays import BoolArray, Float32Array, Float64Array, FloatArray, Mask, Points2, Vector3
+from vntoolkit.arrays import BoolArray, Float32Array, Float64Array, FloatArray, Mask, Points, Points2, Vector3
 from vntoolkit.calibration.ball_lamps import NEAREST_USUAL, LitBall, fit_lamps_to_ball
-from vntoolkit.calibration.fit import ResponseFit, angles_deg, fit_response
+from vntoolkit.calibration.fit import ResponseFit, fit_response
 from vntoolkit.calibration.lights import with_light_colours
 from vntoolkit.checks import require_mask, require_shape, require_some
 from vntoolkit.errors import BadCalibration
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.options.calibration import SphereOptions
+from vntoolkit.photometry.fit_quality import angles_deg
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import with_near_lamps
 
 logger = logging.getLogger(__name__)
 _LEVELS = (0.03, 0.06, 0.12, 0.25, 0.5)  # of the brightest: low for a dark side, high for a grey wall
+_BRIGHTEST = 99.9  # percentile; a lamp's mirror image covers some thousandths of a ball
+_FAR_OFF = 0.05  # of the radius
+_WHOLE_ARC = 0.6  # of the circle: then its place is known to a percent
 _SMALLEST_ARC = 0.4  # of the full circle that must be seen
 
 
@@ -119,7 +123,29 @@ def _ball_in(
         require_mask(mask, frame.shape)
         require_some(mask, "mask")
         outline = outline_from_mask(mask)
+        _require_on_ball(outline, frame)
     return outline, sphere_normals(outline, camera, options.rim_share)
+
+
+def _require_on_ball(outline: "Circle", frame: LinearFrame) -> None:
+    """Raise `BadCalibration` for a mask's outline beside the ball that the picture shows.
+
+    A ball found whole, and nearly as large, is the same one. A centre that is off by a twentieth of the
+    radius turns every normal by 3 degrees or more.
+    """
+    try:
+        seen = find_ball_outline(frame)
+    except BadCalibration:
+        return
+    off = seen.centre_px - outline.centre_px
+    same = abs(seen.radius_px - outline.radius_px) < _FAR_OFF * outline.radius_px and seen.arc > _WHOLE_ARC
+    if same and np.linalg.norm(off) > _FAR_OFF * outline.radius_px:
+        u, v = seen.centre_px
+        raise BadCalibration(
+            f"calibrate sphere: the mask lies beside the ball by ({off[0]:.0f}, {off[1]:.0f}) pixels: "
+            f"what is lit is a ball about {u:.0f} {v:.0f}, {seen.radius_px:.0f} pixels in radius; move the "
+            "mask, or leave it out"
+        )
 
 
 def _fit(
@@ -128,11 +154,29 @@ def _fit(
 ) -> SphereCalibration:  # fmt: skip
     chosen = normal_map.mask if mask is None else normal_map.mask & mask
     normals, rgb = normal_map.normals_in_camera[chosen], frame.rgb[chosen]
-    fit = fit_response(normals, rgb, options.fit, clipped=frame.clipped[chosen], verb="sphere", rng=rng)
+    try:
+        fit = fit_response(normals, rgb, options.fit, clipped=frame.clipped[chosen], verb="sphere", rng=rng)
+    except BadCalibration as problem:
+        if _mirrors(rgb):
+            raise BadCalibration(
+                "calibrate sphere: the ball is shiny: it mirrors its lamps in small spots and is dark "
+                "between them; use a matte ball"
+            ) from problem
+        raise
     residual_deg = np.full(frame.shape, np.nan, np.float32)
     recovered = (rgb - fit.response.ambient) @ fit.response.inverse.T
     residual_deg[chosen] = np.where(fit.inliers, angles_deg(recovered, normals), np.nan)
     return SphereCalibration(fit=fit, outline=outline, normal_map=normal_map, residual_deg=residual_deg)
+
+
+def _mirrors(rgb: Points) -> bool:
+    """True where less of a ball is bright than a matte one shows under any lamp: colours (n, 3) of the ball.
+
+    Within 60 degrees of a lamp a matte ball is brighter than half of its brightest. A lamp beside it, the
+    worst case, shows the camera (π/3 − √3/4) / π = 20 % of the ball so.
+    """
+    bright = rgb > 0.5 * np.percentile(rgb, _BRIGHTEST, axis=0)
+    return bool((bright.mean(axis=0) < 0.5 * (np.pi / 3 - np.sqrt(3) / 4) / np.pi).any())
 
 
 def sphere_normals(outline: "Circle", camera: Camera, rim_share: float = 0.0) -> NormalMap:

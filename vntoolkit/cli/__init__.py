@@ -19,7 +19,6 @@ from vntoolkit.cli.removed import require_no_removed
 VERBS: dict[str, str] = {
     "demo": "Run the whole chain on a simulated capture and write a report.",
     "rectify": "Resample footage of a tilted plane to square pixels.",
-    "circles": "Find the contact circles of presses of a tactile gel, and correct them.",
     "board": "Write the calibration board as a PDF, to scale.",
     "simulate": "Simulate a capture with ground truth.",
     "doctor": "Check the libraries, or check footage for faults that spoil normals.",
@@ -73,7 +72,6 @@ EXAMPLES: dict[str, str] = {
     "demo": "vntoolkit demo --out demo",
     "rectify": "vntoolkit rectify presses --corners 12 9 308 11 4 231 316 229 --size-mm 18.6 14.3 "
     "--pixel-mm 0.03 --out flat",
-    "circles": "vntoolkit circles presses --background gel.png --out labels",
     "board": "vntoolkit board --out board.pdf",
     "simulate": "vntoolkit simulate sweater --out sweater --frames 0:10",
     "doctor": "vntoolkit doctor capture.mkv --rig rig.json",
@@ -91,7 +89,7 @@ EXAMPLES: dict[str, str] = {
     "calibrate board": "vntoolkit calibrate board board.mkv --square-mm 15.9 --out rig.json",
     "calibrate head": "vntoolkit calibrate head turn.mkv --out rig.json --report head.html",
     "calibrate lights": "vntoolkit calibrate lights lamps.txt --like capture.mkv --out rig.json",
-    "calibrate presses": "vntoolkit calibrate presses presses --background gel.png --labels labels "
+    "calibrate presses": "vntoolkit calibrate presses presses --background gel.png --overlay circles.png "
     "--ball-radius-mm 2 --pixel-mm 0.03 --out gel.json",
     "recipe list": "vntoolkit recipe list",
     "recipe run": "vntoolkit recipe run figure02 --quick",

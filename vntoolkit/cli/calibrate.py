@@ -11,7 +11,6 @@ import numpy as np
 from vntoolkit.calibration.ball_lamps import LitBall
 from vntoolkit.calibration.board import BoardCalibration
 from vntoolkit.calibration.fit import ResponseFit
-from vntoolkit.calibration.presses import GelFit
 from vntoolkit.calibration.sphere import SphereCalibration
 from vntoolkit.cli.given import curve_from_text, rectification_from_corners, rig_with_corners
 from vntoolkit.cli.output import JSON, MESH, PAGE, PICTURE, ProgressBars, print_next, require_output
@@ -63,6 +62,7 @@ from vntoolkit.pipeline import calibrate_presses as pipeline
 from vntoolkit.pipeline.calibrate import CalibrationJob
 from vntoolkit.pipeline.calibrate_head import HeadCalibration
 from vntoolkit.pipeline.calibrate_head import calibrate_head as fit_head
+from vntoolkit.tactile.fit import GelFit
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -349,8 +349,14 @@ class PressesArguments(CornerOptions, CurveOptions, AllowOptions, SensorOptions,
     background: File
     """Image of the untouched gel."""
     labels: OptionalFile = named(None)
-    """Folder of text files, NAME.txt for NAME.jpg: u v contact_radius in pixels of the rectified image.
-    Default: the contact circles are found."""
+    """A folder of text files, NAME.txt for NAME.jpg: u v contact_radius in pixels of the rectified image; an
+    image without one is passed over. Or a text file of lines NAME.jpg u v contact_radius; the circles of
+    other images are found. Default: all contact circles are found."""
+    circle: tuple[tuple[str, float, float, float], ...] = ()
+    """Name of an image, and u v contact_radius in pixels of the rectified image: the circle of a press that
+    was passed over, or found beside its dent. May be given several times."""
+    overlay: OptionalFile = named(None)
+    """Also write a picture of all presses with their circles over a labelled grid, .png or .svg."""
     label_size: tuple[int, int] | None = None
     """Width and height of the image that the labels refer to; default: the rectified one."""
 
@@ -358,16 +364,23 @@ class PressesArguments(CornerOptions, CurveOptions, AllowOptions, SensorOptions,
 def _presses(asked: PressesArguments) -> pipeline.PressCalibration:
     require_known_checks(asked.allow, CHECK_NAMES)
     require_output(Path(asked.out), JSON)
+    if asked.overlay is not None:
+        require_output(Path(asked.overlay), PICTURE)
     job = pipeline.PressJob(
         source=str(asked.source),
         background=Path(asked.background),
         labels=asked.labels,
+        circles=asked.circle,
         transfer=curve_from_text(asked.transfer),
         sensor=asked.part(SensorOptions),
         rectification=rectification_from_corners(asked.corners, asked.size_mm, asked.pixel_mm),
         label_size=asked.label_size,
         allow=asked.allow,
     )
+    if asked.overlay is not None:  # also of presses that no rig can be fitted to
+        from vntoolkit.report.presses import write_press_overlay
+
+        write_press_overlay(asked.overlay, job)
     with ProgressBars() as bars:
         result = pipeline.calibrate_presses(
             job, asked.part(PressOptions), partial(bars.reach, "read presses")
@@ -411,6 +424,7 @@ def _report_presses(result: pipeline.PressCalibration, asked: PressesArguments) 
         names = ", ".join(result.passed_over[:5]) + (" …" if len(result.passed_over) > 5 else "")
         without = "a dent that is symmetric" if asked.labels is None else "a label"
         print(f"  passed over       {len(result.passed_over)} images without {without}: {names}")
+        print("                    (--overlay circles.png draws them, --circle gives one a circle)")
     radius = asked.ball_radius_mm
     print(f"  ball              {radius:g} mm in radius, {2 * radius:g} mm across")
     width, height = camera.width * asked.pixel_mm, camera.height * asked.pixel_mm

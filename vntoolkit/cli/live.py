@@ -31,6 +31,7 @@ from vntoolkit.options.normals import ShadowMethod, ShadowMethodName
 from vntoolkit.options.pages import CameraOptions, ViewerOptions
 from vntoolkit.options.shared import AllowOptions, CornerOptions
 from vntoolkit.photometry.rig import Rig
+from vntoolkit.pipeline.gel import Gel
 
 _GREY = 128
 _LATE_FRAMES = 1.5  # intervals between frames; a result that took longer is late
@@ -85,13 +86,16 @@ def _prepared(asked: LiveArguments) -> tuple[capture.LiveSource, LiveProcessor]:
         view = replace(view, rectification=_rectification(asked))
     rig.require_size(*view.size(source.width, source.height), source.name)
     judge(findings_from_rig(rig), asked.allow)
+    plate = _background(asked)
+    if rig.gel is not None and plate is not None:
+        gel = Gel(rig, view.cut(plate).values, allow=asked.allow)
+        if asked.video is not None:  # a camera's first frame is yet to come
+            gel(view.cut(_first_frame(source, asked.video)).values)
     processor = LiveProcessor(
         rig,
         view,
         mask=None if asked.mask is None else read_mask(asked.mask),
-        background=None
-        if asked.background is None
-        else next(open_capture(asked.background).encoded_frames()),
+        background=plate,
         key=MatteOptions(key=asked.key).key,
         shadows=asked.shadows,
     )

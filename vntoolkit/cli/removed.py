@@ -1,8 +1,10 @@
-"""Flags that are no more: each is answered by one line that says what to do instead."""
+"""Verbs and flags that are no more: each is answered by one line that says what to do instead."""
 
 from vntoolkit.errors import BadInput
 
 REMOVED: dict[str, str] = {
+    "circles": "was removed; `vntoolkit calibrate presses --overlay circles.png` draws them over a grid, "
+    "--circle NAME u v radius corrects one",
     "--distance-power": "was removed: weights follow the published 1/distance; take --falloff heat for "
     "limbs that move more independently",
     "--refine-albedo": "was removed, since it left normals as they were; leave it out, "
@@ -15,10 +17,10 @@ REMOVED: dict[str, str] = {
 
 
 def require_no_removed(*words: str) -> None:
-    """Raise `BadInput` for a flag that was removed; what follows `--` is no flag."""
-    for word in words:
+    """Raise `BadInput` for a verb or flag that was removed; what follows `--` is no flag."""
+    for place, word in enumerate(words):
         if word == "--":
             return
         flag = word.partition("=")[0]
-        if flag in REMOVED:
+        if flag in REMOVED and (place == 0 or flag.startswith("--")):
             raise BadInput(f"{flag}: {REMOVED[flag]}")

@@ -28,7 +28,7 @@ P = ParamSpec("P")
 Asked = TypeVar("Asked")
 R = TypeVar("R")
 
-_OUTPUTS = ("out", "figure", "mesh", "report", "html", "record_to")
+_OUTPUTS = ("out", "figure", "mesh", "report", "html", "overlay", "record_to")
 _PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".exr")
 # Panel of `--help` -> the flags in it, of every verb; those that none names are of the method.
 _PANELS: dict[str, tuple[str, ...]] = {
@@ -45,7 +45,8 @@ _PANELS: dict[str, tuple[str, ...]] = {
     ),
     "Method": (),
     "Output": (
-        "out", "to", "overwrite", "figure", "report", "html", "mesh_out", "preview", "page", "record_to",
+        "out", "to", "overwrite", "figure", "overlay", "report", "html", "mesh_out", "preview", "page",
+        "record_to",
         "vertices", "picture_px", "most_frames", "picture_height", "units", "up", "scale",
     ),
     "Machine": ("jobs", "scheduler", "host", "port", "max_megapixels", "max_vertices"),

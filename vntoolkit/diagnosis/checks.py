@@ -8,7 +8,13 @@ from vntoolkit.diagnosis.added_light import check_black_level, check_gloss
 from vntoolkit.diagnosis.evidence import Evidence, brightest_channel
 from vntoolkit.diagnosis.finding import Finding, Level
 from vntoolkit.diagnosis.outline import check_cast_shadows, check_outline
-from vntoolkit.diagnosis.rig_checks import check_coverage, check_lamps, check_residual, check_zoom
+from vntoolkit.diagnosis.rig_checks import (
+    check_camera,
+    check_coverage,
+    check_lamps,
+    check_residual,
+    check_zoom,
+)
 from vntoolkit.diagnosis.surface_match import (
     check_relatives,
     check_structure,
@@ -20,6 +26,7 @@ from vntoolkit.diagnosis.white_balance import check_changing_gains, check_white_
 from vntoolkit.photometry.rig import Rig
 
 RIG_CHECKS: tuple[Callable[[Rig], list[Finding]], ...] = (
+    check_camera,
     check_lamps,
     check_residual,
     check_coverage,
@@ -78,15 +85,18 @@ _MOST_CLIPPED = 0.05  # of the subject
 
 # What `--allow` takes: every name that a finding of these checks, or one about the footage, can have.
 CHECK_NAMES: dict[str, str] = {
+    "background": "a picture of the untouched gel that is none, or of another session",
     "black": "a frame shows nothing",
     "blur": "a picture out of focus, or of something that moved too fast",
     "black-level": "light on every pixel that is none of the lamps', or another range than the file's",
     "bits": "few bits per sample",
+    "camera": "a camera that no lens can be",
     "chroma": "colour at a lower resolution than brightness",
     "clipping": "pixels at the white level",
     "codec": "a lossy codec",
     "condition": "M multiplies noise",
     "cone": "a calibration that saw few directions",
+    "corners": "a gel seen aslant, without its corners",
     "cut-off": "a file that ends early",
     "drift": "exposure or white balance that changes while filming",
     "dim": "footage that uses little of the range",

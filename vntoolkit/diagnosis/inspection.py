@@ -33,6 +33,9 @@ _BLACK = 0.01  # of full scale: a frame in which nothing is brighter shows nothi
 _CLIPPED_WHOLLY = 0.98
 _CLIPPED_TOO_MUCH = 0.001
 _CLIPPED_FATALLY = 0.1
+_FULL = 0.995  # of full scale
+_TOP_VALUES = 3  # stored values that a plateau has, for a codec's noise, and as many just below it
+_STEEP = 4.0  # times as many pixels: what is lit evenly, such as a wall, thins out as its noise does
 _DIM = 0.25  # a brightest percentile below it wastes two bits
 # Degrees that subsampled chroma costs on relief of two pixels, measured on rendered captures.
 _CHROMA_COST_DEG = {"4:2:0": 7, "4:2:2": 5, "4:4:0": 5, "4:1:1": 7}
@@ -264,7 +267,7 @@ def findings_from_clipping(frames: Sequence[LinearFrame], mask: Mask | None) -> 
         return []
     share = float(np.mean([(f.clipped if mask is None else f.clipped[mask]).mean() for f in frames]))
     if not share > _CLIPPED_TOO_MUCH:
-        return []
+        return _findings_from_plateau(frames, mask)
     return [
         Finding(
             check="clipping",
@@ -275,6 +278,37 @@ def findings_from_clipping(frames: Sequence[LinearFrame], mask: Mask | None) -> 
             remedy="lower the exposure and film again",
         )
     ]
+
+
+def _findings_from_plateau(frames: Sequence[LinearFrame], mask: Mask | None) -> list[Finding]:
+    """Find a channel that ends below full scale: far more pixels at its largest value than just below it.
+
+    Light that is not clipped thins out towards its largest values.
+    """
+    for channel, name in enumerate(("red", "green", "blue")):
+        shown = [frame.rgb[..., channel] if mask is None else frame.rgb[mask, channel] for frame in frames]
+        values = np.concatenate([each.ravel() for each in shown])
+        top = float(values.max(initial=0.0))
+        if not _BLACK < top < _FULL:
+            continue
+        counts = np.unique(values, return_counts=True)[1][-2 * _TOP_VALUES :]
+        if len(counts) < 2 * _TOP_VALUES:
+            continue
+        below, at_top = counts[:_TOP_VALUES].sum(), counts[_TOP_VALUES:].sum()
+        if at_top > _CLIPPED_TOO_MUCH * len(values) and at_top > _STEEP * below:
+            share = at_top / len(values)
+            return [
+                Finding(
+                    check="clipping",
+                    level=Level.FATAL if share > _CLIPPED_FATALLY else Level.WARNING,
+                    problem=f"{share:.1%} of the pixels are clipped below full scale: the {name} channel "
+                    f"ends at {top:.0%}, as in a video of limited range or of a camera whose white is lower",
+                    measured=f"{at_top / below:.0f} times as many pixels there as just below",
+                    expected="fewer than below",
+                    remedy="lower the exposure and film again",
+                )
+            ]
+    return []
 
 
 def _findings_from_range(brightest: float) -> Iterator[Finding]:

@@ -1,15 +1,18 @@
-"""Are presses of a tactile sensor what they are said to be? Labels against dents, and the transfer curve."""
+"""Are presses of a tactile sensor what they are said to be? Labels, background, corners, transfer curve."""
 
 import numpy as np
 
 from vntoolkit.arrays import FloatArray
 from vntoolkit.diagnosis.finding import Finding, Level
+from vntoolkit.tactile.circles import FoundCircle
 
 _FAR_RADII = 0.6  # of the contact: hands label to a tenth, and a fit still works with a half
 _STRETCH = 0.04  # of 1: a label's scale that is off by less moves no label by more than hands do
 _SURE = 4.0  # standard errors
 _NARROW = 0.45  # of the ball's radius, a slope of 27 degrees; presses in real use reach 0.7 to 0.8
 _FEWEST = 5  # presses that tell a scale
+_LEAST_LEVEL = 0.5  # of the gel's own colour: below it more than half of the picture is something else
+_LEAST_STRENGTH = 0.5  # of a press: what noise and the gel's own change have in common is far less
 _CLEARLY_BETTER = 0.92  # of the angle that a transfer curve leaves; noise and other lamps change it less
 
 
@@ -86,6 +89,49 @@ def check_contacts(shares: FloatArray) -> list[Finding]:
             measured=f"contact radius {share:.2f} of the ball's, {np.rad2deg(np.arcsin(share)):.0f} degrees",
             expected=f"{_NARROW:g} or more",
             remedy="press deeper; or was the ball's diameter given as --ball-radius-mm?",
+        )
+    ]
+
+
+def check_gel_fills_picture(level: FloatArray, at_contacts: FloatArray) -> list[Finding]:
+    """Compare the picture's median colour (3,) with that of the untouched gel where presses are, (3,)."""
+    share = float((level / np.maximum(at_contacts, 1e-9)).min())
+    if share >= _LEAST_LEVEL:
+        return []
+    return [
+        Finding(
+            check="corners",
+            level=Level.FATAL,
+            problem="most of the picture is darker than the gel where it is pressed: a dark frame around it",
+            measured=f"a median of {share:.2f} times the gel's colour",
+            expected=f"{_LEAST_LEVEL:g} or more",
+            remedy="give --corners and --size-mm, the gel's corners in the picture and the size between them",
+        )
+    ]
+
+
+def check_common_dent(
+    common: FoundCircle | None, strength: float, found: FloatArray, presses: int
+) -> list[Finding]:
+    """Find a dent that all presses have in common: then it is the background's.
+
+    common: found in the median change of the presses. strength: of that change, over a press's own. found:
+    (n, 3), u, v, radius of the dents that were found in so many presses.
+    """
+    if common is None or strength < _LEAST_STRENGTH or presses < _FEWEST:
+        return []
+    at = common.press
+    near = np.hypot(found[:, 0] - at.u_px, found[:, 1] - at.v_px) < at.radius_px
+    if 2 * near.sum() > presses:  # the presses themselves lie there
+        return []
+    return [
+        Finding(
+            check="background",
+            level=Level.FATAL,
+            problem=f"the background holds a dent, at u {at.u_px:.0f} v {at.v_px:.0f}: it is a press itself",
+            measured=f"the same dent in all presses, {strength:.1f} times as strong as theirs",
+            expected="no dent in common",
+            remedy="take the background while nothing touches the gel",
         )
     ]
 

@@ -6,6 +6,7 @@ with M read from places scaled by the ratio of the two focal lengths.
 """
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -93,6 +94,51 @@ def check_coverage(rig: Rig) -> list[Finding]:
             )
         )
     return findings
+
+
+_WIDEST_PIXEL = 2.0  # an anamorphic lens, unstretched
+_FURTHEST_CENTRE = 0.25  # of the picture, from its middle: beyond it the picture is a crop
+_LARGEST_SKEW_DEG = 1.0  # between a sensor's rows and columns
+
+
+def check_camera(rig: Rig) -> list[Finding]:
+    """Find a camera that no lens can be: pixels far from square, skewed, off the axis, or folded."""
+    camera = rig.camera
+    matrix = camera.matrix
+    aspect, skew = matrix[0, 0] / matrix[1, 1], matrix[0, 1] / matrix[0, 0]
+    skew_deg = float(np.degrees(np.arctan(abs(skew))))
+    findings = []
+    if max(aspect, 1 / aspect) > _WIDEST_PIXEL:
+        measured = f"fx {matrix[0, 0]:.0f}, fy {matrix[1, 1]:.0f} pixels"
+        findings.append(_impossible("the focal lengths differ too much", measured, "nearly the same"))
+    if skew_deg > _LARGEST_SKEW_DEG:
+        measured = f"a skew of {matrix[0, 1]:.0f} pixels, {skew_deg:.0f} degrees"
+        findings.append(_impossible("the camera's rows and columns are skewed", measured, "0"))
+    if camera.is_perspective and camera.folds:
+        measured = "k1, k2, p1, p2 = " + ", ".join(f"{value:.3g}" for value in camera.distortion)
+        findings.append(_impossible("the lens distortion folds the picture", measured, "one place a pixel"))
+    off = np.abs(matrix[:2, 2] / ((camera.width - 1) or 1, (camera.height - 1) or 1) - 0.5)
+    if camera.is_perspective and off.max() > _FURTHEST_CENTRE:
+        u, v = matrix[:2, 2]
+        at = f"at {u:.1f} {v:.1f} of {camera.width}×{camera.height} pixels"
+        findings.append(
+            replace(
+                _impossible("the camera's principal point lies near the border", at, "near the middle"),
+                level=Level.WARNING,
+            )
+        )
+    return findings
+
+
+def _impossible(problem: str, measured: str, expected: str) -> Finding:
+    return Finding(
+        check="camera",
+        level=Level.FATAL,
+        problem=problem,
+        measured=measured,
+        expected=expected,
+        remedy="check K and distortion in rig.json: is this the camera of this picture, uncropped?",
+    )
 
 
 _PIXELS_A_FRAME = 3000

@@ -15,6 +15,7 @@ from vntoolkit.checks import require_finite, require_shape
 from vntoolkit.errors import BadInput
 
 _UNDISTORT_ITERATIONS = 20
+_RADII, _TURNS = 200, 16  # at which a distortion is looked at
 _MOST_PX = 1e9  # no lens has more; squares and inverses of K stay far from overflow
 
 
@@ -113,6 +114,24 @@ class Camera:
         """Return the (h, w, 3) points in the camera frame of a depth image (h, w)."""
         require_shape(depth, (self.height, self.width), "depth")
         return self.unproject(self.pixel_grid(), depth)
+
+    @property
+    def folds(self) -> bool:
+        """True where the distortion puts two directions into one pixel of the picture."""
+        if self.model is not CameraModel.OPENCV:
+            return False
+        edge = np.array(
+            [[0, 0], [self.width - 1, 0], [0, self.height - 1], [self.width - 1, self.height - 1]]
+        )
+        inverse = np.linalg.inv(self.matrix[:2, :2])
+        furthest = np.linalg.norm((edge - self.matrix[:2, 2]) @ inverse.T, axis=1).max()
+        # outwards along any ray, the distorted radius must grow until it reaches the picture's corner
+        radius = np.linspace(0.0, 2.0 * furthest, _RADII)
+        turn = np.linspace(0.0, 2.0 * np.pi, _TURNS, endpoint=False)
+        rays = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
+        reached = (_distort(radius[:, None, None] * rays, self.distortion) * rays).sum(axis=-1)
+        inside = np.maximum.accumulate(reached, axis=0)[:-1] < furthest
+        return bool((inside & (np.diff(reached, axis=0) <= 0)).any())
 
     def scaled(self, factor: float) -> Camera:
         """Return the camera of an image resized by `factor` (pixel centres stay integers)."""

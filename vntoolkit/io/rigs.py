@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_origin
+from typing import Annotated, Any, Literal, TypeAlias, get_origin
 
 import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, FiniteFloat, ValidationError
@@ -21,12 +21,14 @@ from vntoolkit.photometry.rig import FitQuality, Rig, SourceFile
 from vntoolkit.photometry.transfer import Transfer
 
 _EXPECTED = "a rig.json of `vntoolkit calibrate`"
-# 2 added response.variation, 3 gel, 4 response.material, 5 the gel's fourth degree, 6 the lamps' doubts;
-# one without is as before
-RIG_VERSION = 6
+# 2 added response.variation, 3 gel, 4 response.material, 5 the gel's fourth degree, 6 the lamps' doubts,
+# 7 gel.untouched; one without is as before
+RIG_VERSION = 7
+Version: TypeAlias = Literal[1, 2, 3, 4, 5, 6, 7]
 _listed = BeforeValidator(lambda value: value.tolist() if isinstance(value, np.ndarray) else value)
 _Pair = Annotated[tuple[FiniteFloat, FiniteFloat], _listed]
 _Row = Annotated[tuple[FiniteFloat, FiniteFloat, FiniteFloat], _listed]
+_SixRows = Annotated[list[_Row], Field(min_length=6, max_length=6)]
 _Matrix = Annotated[tuple[_Row, _Row, _Row], _listed]
 _Power = Annotated[int, Field(ge=0, le=3)]
 _Doubt = Annotated[FiniteFloat, Field(ge=0, le=90)]
@@ -136,9 +138,8 @@ def rig_from_entry(entry: RigFile) -> Rig:
 def entry_from_rig(rig: Rig) -> RigFile:
     """Return the rig as rig.json and the manifest store it."""
     response, variation = rig.response, rig.response.variation
-    has_doubts = response.light_doubts_deg is not None
     return RigFile(
-        version=6 if has_doubts else 5 if rig.gel else 4 if rig.material else 2 if variation else 1,
+        version=_version_of(rig),
         camera=entry_from_camera(rig.camera),
         response=ResponseEntry.model_validate(
             {
@@ -159,6 +160,18 @@ def entry_from_rig(rig: Rig) -> RigFile:
         sources=[SourceEntry(**vars(source)) for source in rig.sources],
         gel=None if rig.gel is None else _entry_from_gel(rig.gel),
     )
+
+
+def _version_of(rig: Rig) -> Version:
+    """The earliest version that holds what this rig has."""
+    has: dict[Version, bool] = {
+        7: rig.gel is not None and rig.gel.untouched is not None,
+        6: rig.response.light_doubts_deg is not None,
+        5: rig.gel is not None,
+        4: bool(rig.material),
+        2: rig.response.variation is not None,
+    }
+    return next((version for version, is_needed in has.items() if is_needed), 1)
 
 
 def camera_from_entry(entry: CameraEntry) -> Camera:
@@ -219,6 +232,7 @@ def _gel_from_entry(entry: GelEntry) -> GelResponse:
         scale_px=entry.scale_px,
         reach=entry.reach,
         errors_deg=None if entry.errors_deg is None else np.array(entry.errors_deg),
+        untouched=None if entry.untouched is None else np.array(entry.untouched),
         rectification=None if view is None else Rectification(**view.model_dump(exclude={"filmed_px"})),
         filmed_px=None if view is None else view.filmed_px,
     )
@@ -386,6 +400,11 @@ class GelEntry(Entry):
         description="Tilts of the gel, growing, and the angle that nine of ten normals so tilted stay "
         "within, on presses held back from the fit, degrees; left out where it is not known.",
     )
+    untouched: Annotated[_SixRows | None, _listed] = Field(
+        default=None,
+        description="Colour of the untouched gel: coefficients (red, green, blue) of 1, x, y, x x, x y, y y, "
+        "where x and y run from -1 to 1 over the picture (version 7).",
+    )
     rectification: RectificationEntry | None = Field(
         default=None, description="Left out where the footage shows the gel squarely already."
     )
@@ -401,10 +420,10 @@ class SourceEntry(Entry):
 class RigFile(Entry):
     """A vntoolkit rig: camera, light response, colour encoding, and quality of the calibration."""
 
-    version: Literal[1, 2, 3, 4, 5, 6] = Field(default=1, description="Version of this schema.")
+    version: Version = Field(default=1, description="Version of this schema.")
     camera: CameraEntry
     response: ResponseEntry
     colour: ColourEntry = Field(default_factory=ColourEntry)
     quality: QualityEntry | None = Field(default=None, description="Left out where M was not fitted.")
     sources: list[SourceEntry] = Field(default_factory=list, description="Files the rig was fitted from.")
-    gel: GelEntry | None = Field(default=None, description="Of a tactile sensor only (versions 3 and 5).")
+    gel: GelEntry | None = Field(default=None, description="Of a tactile sensor only (versions 3, 5 and 7).")

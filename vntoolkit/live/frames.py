@@ -18,9 +18,9 @@ from vntoolkit.native import loops_may_overlap, njit
 from vntoolkit.options.normals import ShadowMethod
 from vntoolkit.options.reconstruction import MaterialSearch, Product, ReconstructOptions
 from vntoolkit.photometry.rig import Rig
-from vntoolkit.pipeline.contact import Contact, contact_from_depth, rested
 from vntoolkit.pipeline.frame_processor import FrameProcessor
 from vntoolkit.pipeline.outputs import FrameResult
+from vntoolkit.tactile.contact import Contact, contact_from_depth, rested
 
 Begun = tuple[FrameResult, tuple[str, ...]]  # normals, and warnings of the exposure
 _CLIPPED_SHARE = 0.01  # of all pixels: more ruins normals

@@ -4,10 +4,7 @@ A gel is compared with itself: d is a pixel's colour less the colour of the unto
 whole gel gives M⁻¹ d = n − n₀, n₀ = (0, 0, −1) the normal of the flat gel. Near lamps, light that the gel
 scatters and the camera's colours bend this a little, differently from place to place. A polynomial in
 m = M⁻¹ d and in the place corrects it. Each of its terms holds at least one factor of m, so that no change of
-colour gives the flat normal, exactly.
-
-The correction is added in the normal's stereographic coordinates s = n_xy / (1 − n_z). They keep angles: the
-same step of s is nearly the same angle wherever the normal points.
+colour gives the flat normal, exactly. `tactile/response.py` computes it.
 """
 
 from dataclasses import dataclass
@@ -15,11 +12,10 @@ from itertools import combinations_with_replacement
 
 import numpy as np
 
-from vntoolkit.arrays import Float64Array, FloatArray, Points, Points2, read_only
+from vntoolkit.arrays import Float64Array, FloatArray, read_only
 from vntoolkit.checks import require_finite, require_shape
 from vntoolkit.errors import BadRig
 from vntoolkit.geometry.rectification import Rectification
-from vntoolkit.photometry.response import LightResponse
 
 TOTAL_DEGREE = 4  # of a term, in m and place together; the fifth predicts held-back presses hardly better
 COLOUR_FACTORS = tuple(
@@ -39,12 +35,11 @@ def _powers_to_degree(degree: int) -> tuple[tuple[int, int, int], ...]:
     )
 
 
-_POWERS = _powers_to_degree(TOTAL_DEGREE)
-TERMS = len(_POWERS)
-TERM_DEGREES = np.array([(len(COLOUR_FACTORS[k]), i + j) for k, i, j in _POWERS])  # in m and in the place
+POWERS = _powers_to_degree(TOTAL_DEGREE)
+TERMS = len(POWERS)
+TERM_DEGREES = np.array([(len(COLOUR_FACTORS[k]), i + j) for k, i, j in POWERS])  # in m and in the place
 _EARLIER_POWERS = _powers_to_degree(3)
 EARLIER_TERMS = len(_EARLIER_POWERS)
-STEEPEST = 0.98  # |s|: 1 is a normal across the line of sight, beyond which nothing is seen
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -56,8 +51,10 @@ class GelResponse:
     x = (u − centre_u) / scale, y = (v − centre_v) / scale. reach: length of m up to which the presses
     determine the terms; a longer m is shortened to it in them. errors_deg: (k, 2), tilts of the gel, growing,
     and the angle that nine of ten normals so tilted stay within, on presses held back from the fit, degrees;
-    None where it is not known. rectification: takes the picture as filmed,
-    of size `filmed_px` (width, height), to the gel; both None where the pictures are of the gel already.
+    None where it is not known. untouched: (6, 3), the untouched gel's colour
+    as a quadratic of the place, see `tactile/session.py`; None of an earlier rig. rectification: takes the
+    picture as filmed, of size `filmed_px` (width, height), to the gel; both None where the pictures are of
+    the gel already.
     """
 
     coefficients: FloatArray
@@ -65,6 +62,7 @@ class GelResponse:
     scale_px: float
     reach: float
     errors_deg: FloatArray | None = None
+    untouched: FloatArray | None = None
     rectification: Rectification | None = None
     filmed_px: tuple[int, int] | None = None
 
@@ -81,6 +79,11 @@ class GelResponse:
             if not (len(errors) and (np.diff(errors[:, 0]) > 0).all() and (errors >= 0).all()):
                 raise BadRig("gel: expected errors at growing tilts, both 0 or more")
             object.__setattr__(self, "errors_deg", read_only(errors))
+        if self.untouched is not None:
+            untouched = np.array(self.untouched, dtype=np.float64)
+            require_shape(untouched, (6, 3), "gel: untouched", BadRig)
+            require_finite(untouched, "gel: untouched", BadRig)
+            object.__setattr__(self, "untouched", read_only(untouched))
         if (self.rectification is None) != (self.filmed_px is None):
             raise BadRig("gel: expected the rectification and the size as filmed, got one of them")
         if not (0 < self.scale_px < np.inf and 0 < self.reach < np.inf):
@@ -92,48 +95,13 @@ class GelResponse:
     def terms(self) -> Float64Array:
         """(2, 34, 4, 4): for coordinate of s and monomial of m, the coefficient of x^i y^j."""
         laid_out = np.zeros((2, len(COLOUR_FACTORS), TOTAL_DEGREE, TOTAL_DEGREE))
-        for (k, i, j), pair in zip(_POWERS, self.coefficients, strict=True):
+        for (k, i, j), pair in zip(POWERS, self.coefficients, strict=True):
             laid_out[:, k, i, j] = pair
         return laid_out
-
-    def normals_from_change(self, change: Points, positions_px: Points2, response: LightResponse) -> Points:
-        """Unit normals (n, 3), camera frame, of changes of colour (n, 3) at pixels (n, 2)."""
-        scaled = change @ response.inverse.T
-        place = (positions_px - self.centre_px) / self.scale_px
-        terms = correction_terms(scaled, place, self.reach)
-        return normals_from_stereographic(first_estimate(scaled) + terms @ self.coefficients)
 
 
 def completed_coefficients(earlier: FloatArray) -> FloatArray:
     """The coefficients (111, 2) of a correction of the third degree, (46, 2)."""
     coefficients = np.zeros((TERMS, 2))
-    coefficients[[_POWERS.index(powers) for powers in _EARLIER_POWERS]] = earlier
+    coefficients[[POWERS.index(powers) for powers in _EARLIER_POWERS]] = earlier
     return coefficients
-
-
-def first_estimate(scaled: Points) -> Points2:
-    """Stereographic coordinates (n, 2) of the normals that M alone gives, n₀ + m for m (n, 3)."""
-    z = scaled[:, 2] - 1.0
-    length = np.sqrt(scaled[:, 0] ** 2 + scaled[:, 1] ** 2 + z**2)
-    return np.asarray(scaled[:, :2] / np.maximum(length - z, 1e-9)[:, None])
-
-
-def correction_terms(scaled: Points, place: Points2, reach: float) -> FloatArray:
-    """The terms of the correction, (n, 111), for m (n, 3) at places (x, y), (n, 2)."""
-    length = np.linalg.norm(scaled, axis=1, keepdims=True)
-    within = scaled * np.minimum(1.0, reach / np.maximum(length, 1e-12))
-    colours = [np.prod(within[:, list(factors)], axis=1) for factors in COLOUR_FACTORS]
-    return np.column_stack([colours[k] * place[:, 0] ** i * place[:, 1] ** j for k, i, j in _POWERS])
-
-
-def normals_from_stereographic(s: Points2) -> Points:
-    """Unit normals (n, 3) that face the camera, of stereographic coordinates (n, 2)."""
-    length = np.linalg.norm(s, axis=1, keepdims=True)
-    s = s * np.minimum(1.0, STEEPEST / np.maximum(length, 1e-12))
-    squared = (s**2).sum(axis=1, keepdims=True)
-    return np.asarray(np.hstack([2.0 * s, squared - 1.0]) / (1.0 + squared))
-
-
-def stereographic_from_normals(normals: Points) -> Points2:
-    """Stereographic coordinates (n, 2) of unit normals (n, 3): 0 for the flat gel, 1 long at right angles."""
-    return np.asarray(normals[:, :2] / (1.0 - normals[:, 2:]))

@@ -1,14 +1,12 @@
 """Calibration of a tactile sensor from ball presses, and rectified copies of its footage."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from vntoolkit.arrays import FloatArray, LinearImage, Mask, Vector3
-from vntoolkit.calibration import presses
-from vntoolkit.calibration.presses import find_contact_circle
 from vntoolkit.diagnosis import press_checks
 from vntoolkit.diagnosis.finding import Finding, judge
 from vntoolkit.diagnosis.inspection import findings_from_calibration_footage
@@ -18,10 +16,9 @@ from vntoolkit.geometry.rectification import Rectification
 from vntoolkit.io.files import read_text, source_file
 from vntoolkit.io.footage.captures import Capture, CaptureOptions, open_capture
 from vntoolkit.io.footage.decoding import rectify_frame
-from vntoolkit.io.footage.gel_dots import DotFilter
 from vntoolkit.io.footage.images import write_png
+from vntoolkit.io.footage.sequence import CaptureKind
 from vntoolkit.io.results.folder import write_lock
-from vntoolkit.normals.gel import change_without_drift
 from vntoolkit.options.calibration import LabelOffset, PressOptions
 from vntoolkit.options.footage import Gaps, SensorOptions
 from vntoolkit.photometry.frame import LinearFrame
@@ -32,8 +29,16 @@ from vntoolkit.photometry.transfer import (
     encoded_from_linear,
     linear_from_encoded,
 )
+from vntoolkit.tactile.circles import FoundCircle, Press, find_contact_circle, shrunk_change
+from vntoolkit.tactile.dots import DotFilter
+from vntoolkit.tactile.fit import GelFit, angle_of_one_matrix, fit_gel_to_presses, largest_label_offset
+from vntoolkit.tactile.inversion import change_without_drift
+from vntoolkit.tactile.presses import PressSamples, samples_from_press
+from vntoolkit.tactile.session import untouched_terms
 
 _SEED = 0
+_MOST_COMPARED = 25  # presses whose median is looked at
+_STRONG_PERCENTILE = 98.0  # of a change: the rim of a dent is a few percent of the picture
 Progress = Callable[[int, int], None]
 
 
@@ -41,17 +46,20 @@ Progress = Callable[[int, int], None]
 class PressJob:
     """What a calibration on presses reads.
 
-    source: images, one press each. background: image of the untouched gel. labels: folder of `NAME.txt`, one
-    per image, None to find the contact circles. transfer: curve of the footage, None for the one that it
-    states, else linear. sensor: how samples of the sensor itself are read. rectification: takes the camera's
-    view to the gel; None where the images are rectified. label_size: (width, height) of the frame that labels
-    refer to; None for that of the images, rectified. allow: checks whose fatal findings on the footage do not
-    stop the calibration.
+    source: images, one press each. background: image of the untouched gel. labels: a folder of `NAME.txt`,
+    where an image without one is passed over, or a file of lines `NAME u v radius`, where the circles of
+    other images are found; None to find all. circles: (name of the image, u, v, radius) in pixels of the
+    rectified image; they replace what is found or labelled. transfer: curve of the footage, None for the one
+    that it states, else linear. sensor: how samples of the sensor itself are read. rectification: takes the
+    camera's view to the gel; None where the images are rectified. label_size: (width, height) of the frame
+    that labels refer to; None for that of the images, rectified. allow: checks whose fatal findings on the
+    footage do not stop the calibration.
     """
 
     source: str
     background: Path
     labels: Path | None = None
+    circles: tuple[tuple[str, float, float, float], ...] = ()
     transfer: Transfer | None = None
     sensor: SensorOptions = field(default_factory=SensorOptions)
     rectification: Rectification | None = None
@@ -77,7 +85,7 @@ class PressCalibration:
     """
 
     rig: Rig
-    fit: presses.GelFit
+    fit: GelFit
     used: int
     passed_over: tuple[str, ...]
     findings: tuple[Finding, ...]
@@ -85,11 +93,16 @@ class PressCalibration:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _ReadPress:
-    """One image: its samples, None where it has no press; the circle found, None where there is none."""
+    """One image: its samples, None where it has no press.
+
+    labelled, found: the circle as labelled and as found, None where there is none. change: of colour, shrunk.
+    """
 
     name: str
-    samples: presses.PressSamples | None
-    found: presses.Press | None
+    samples: PressSamples | None
+    labelled: Press | None
+    found: FoundCircle | None
+    change: LinearImage | None
 
 
 def calibrate_presses(
@@ -109,22 +122,24 @@ def calibrate_presses(
     if not samples:
         raise BadCalibration(
             f"calibrate presses: no image of {job.source} shows the dent of one ball; is {job.background} "
-            "the untouched gel of this sensor? --labels names the circles by hand"
+            "the untouched gel of this sensor? --overlay draws the images, --circle gives a circle by hand"
         )
     level = np.median(background.rgb[~background.clipped].astype(np.float64), axis=0)
     height, width = background.shape
-    if job.labels is None:  # what was found has no common offset
+    if not reader.has_folder:  # what was found, or corrected one by one, has no common offset
         options = replace(options, label_offset=LabelOffset.OWN)
     radii_mm = options.pixel_mm * np.array([part.press.radius_px for part in samples])
     findings = [
-        *_findings_from_labels(job, read, (width, height)),
+        *_findings_from_background(read),
+        *press_checks.check_gel_fills_picture(level, _colour_at_contacts(samples)),
+        *(_findings_from_labels(read, (width, height)) if reader.has_folder else ()),
         *press_checks.check_contacts(radii_mm / options.ball_radius_mm),
     ]
-    fit = presses.fit_gel_to_presses(samples, level, (width, height), options)
+    fit = fit_gel_to_presses(samples, level, (width, height), options)
     if options.label_offset is LabelOffset.COMMON:
-        findings += press_checks.check_offset(fit.label_offset_px, presses.largest_label_offset(samples))
+        findings += press_checks.check_offset(fit.label_offset_px, largest_label_offset(samples))
     findings += _findings_from_transfer(samples, level, fit, options, capture.transfer)
-    gel = fit.gel
+    gel = replace(fit.gel, untouched=untouched_terms(background.rgb, ~background.clipped))
     if job.rectification is not None:
         filmed = (capture.info.width, capture.info.height)
         gel = replace(gel, rectification=job.rectification, filmed_px=filmed)
@@ -150,23 +165,47 @@ def calibrate_presses(
     )
 
 
-def _findings_from_labels(job: PressJob, read: list[_ReadPress], size: tuple[int, int]) -> list[Finding]:
+def _findings_from_background(read: list[_ReadPress]) -> list[Finding]:
+    """Look for a dent that the presses have in common, in their median."""
+    changes = [press.change for press in read if press.change is not None]
+    changes = changes[:: -(-len(changes) // _MOST_COMPARED)]
+    common = np.asarray(np.median(changes, axis=0), dtype=np.float32)
+    strength = _strength(common) / max(float(np.median([_strength(change) for change in changes])), 1e-9)
+    circles = [circle.press for circle in map(find_contact_circle, changes) if circle is not None]
+    found = np.array([(circle.u_px, circle.v_px, circle.radius_px) for circle in circles])
+    common_dent = find_contact_circle(common)
+    return press_checks.check_common_dent(common_dent, strength, found.reshape(-1, 3), len(changes))
+
+
+def _strength(change: LinearImage) -> float:
+    """Of a change of colour: its length where it is among the strongest."""
+    return float(np.percentile(np.linalg.norm(change, axis=2), _STRONG_PERCENTILE))
+
+
+def _colour_at_contacts(samples: list[PressSamples]) -> Vector3:
+    """Median colour (3,) of the untouched gel inside the contacts."""
+    inside = [np.linalg.norm(part.offsets_px(np.zeros(2)), axis=1) < part.press.radius_px for part in samples]
+    untouched = [part.untouched[own] for part, own in zip(samples, inside, strict=True)]
+    return np.median(np.concatenate(untouched), axis=0)
+
+
+def _findings_from_labels(read: list[_ReadPress], size: tuple[int, int]) -> list[Finding]:
     both = [
         ((label.u_px, label.v_px, label.radius_px), (found.u_px, found.v_px, found.radius_px))
         for press in read
-        if press.samples is not None and press.found is not None
-        for label, found in [(press.samples.press, press.found)]
+        for label, found in [(press.labelled, None if press.found is None else press.found.press)]
+        if label is not None and found is not None
     ]
-    if job.labels is None or not both:
+    if not both:
         return []
     labels, found = np.moveaxis(np.array(both), 1, 0)
     return press_checks.check_labels(labels, found, size)
 
 
 def _findings_from_transfer(
-    samples: list[presses.PressSamples],
+    samples: list[PressSamples],
     level: Vector3,
-    fit: presses.GelFit,
+    fit: GelFit,
     options: PressOptions,
     used: Transfer,
 ) -> list[Finding]:
@@ -179,9 +218,9 @@ def _findings_from_transfer(
         others = [
             replace(part, rgb=moved(part.rgb + part.untouched) - moved(part.untouched)) for part in samples
         ]
-        return presses.angle_of_one_matrix(others, moved(level), fit.label_offset_px, options)
+        return angle_of_one_matrix(others, moved(level), fit.label_offset_px, options)
 
-    angle = presses.angle_of_one_matrix(samples, level, fit.label_offset_px, options)
+    angle = angle_of_one_matrix(samples, level, fit.label_offset_px, options)
     curves = (TransferCurve.LINEAR, TransferCurve.SRGB)
     others = {curve.value: angle_under(Transfer(curve=curve)) for curve in curves if curve is not used.curve}
     return press_checks.check_press_transfer(used.curve.value, angle, others)
@@ -225,15 +264,26 @@ class PressReader:
         self.job = job
         options = CaptureOptions(transfer=job.transfer, gaps=Gaps.SKIP, sensor=job.sensor)
         self.capture = open_capture(job.source, options)
-        self.untouched = open_capture(job.background, options).frame(0)  # as filmed
-        self.background = job.prepare(self.untouched)
+        self.background = job.prepare(open_capture(job.background, options).frame(0))
         self._dots = DotFilter(self.background.rgb)
         info = self.capture.info
-        self._file_of = dict(zip(info.numbers, info.files, strict=False))
+        if info.kind is CaptureKind.VIDEO:
+            self._names = {number: str(number) for number in self.capture.present}
+        else:
+            self._names = {n: file.name for n, file in zip(info.numbers, info.files, strict=True)}
+        self._by_hand = {name: _circle(values, f"--circle {name}") for name, *values in job.circles}
+        self._labelled: dict[str, FloatArray] = {}
+        self.has_folder = job.labels is not None and job.labels.is_dir()
+        if job.labels is not None and not self.has_folder:
+            self._labelled = _circles_of_file(job.labels)
+        names = list(self._names.values())
+        for name in (*self._by_hand, *self._labelled):
+            if name not in names:
+                raise BadInput(f"circle of {name}: expected an image of {job.source}, such as {names[0]}")
 
-    def file(self, number: int) -> Path:
-        """The file that a frame is in."""
-        return self._file_of.get(number, self.capture.info.files[-1])
+    def name(self, number: int) -> str:
+        """The name of a press: of its file, or its number in a video."""
+        return self._names[number]
 
     def change(self, prepared: LinearFrame) -> tuple[LinearImage, Mask]:
         """The change of colour (h, w, 3) against the untouched gel, and the pixels that were filled."""
@@ -244,16 +294,23 @@ class PressReader:
         change, filled = self._dots.filled(prepared.rgb - background.rgb, unknown)
         return change_without_drift(change, ~filled), filled
 
-    def press(self, label: Path) -> presses.Press:
-        """Read a label and scale it to the frames; the radius counts along the width."""
-        u, v, radius = read_press_label(label)
+    def labelled(self, name: str) -> Press | None:
+        """The circle that a label, or --circle, gives a press."""
+        if name in self._by_hand:
+            return _press(self._by_hand[name])
+        circle = self._labelled.get(name)
+        if self.has_folder and self.job.labels is not None:
+            label = self.job.labels / Path(name).with_suffix(".txt")
+            circle = read_press_label(label) if label.exists() else None
+        if circle is None:
+            return None
         height, width = self.background.shape
         label_width, label_height = self.job.label_size or (width, height)
-        return presses.Press(
-            u_px=u * width / label_width,
-            v_px=v * height / label_height,
-            radius_px=radius * width / label_width,
-        )
+        return _press(circle * (width / label_width, height / label_height, width / label_width))
+
+    def passes_over(self, name: str) -> bool:
+        """True for a press without a label where a folder of labels is given."""
+        return self.has_folder and self.labelled(name) is None
 
 
 def _read(
@@ -261,38 +318,47 @@ def _read(
 ) -> Iterator[_ReadPress]:
     job, capture = reader.job, reader.capture
     for done, frame in enumerate(capture.frames(), start=1):
-        file = reader.file(frame.number)
-        label = None if job.labels is None else label_path(job.labels, file)
-        if label is not None and not label.exists():
-            yield _ReadPress(name=file.name, samples=None, found=None)
-        else:
+        name = reader.name(frame.number)
+        samples = labelled = found = small = None
+        if not reader.passes_over(name):
             change, filled = reader.change(job.prepare(frame))
-            circle = find_contact_circle(change)
-            found = None if circle is None else circle.press
-            press = found if label is None else reader.press(label)
-            samples = None
+            found, small = find_contact_circle(change), shrunk_change(change)
+            labelled = reader.labelled(name)
+            press = labelled or (None if found is None else found.press)
             if press is not None:
-                samples = presses.samples_from_press(
-                    change, reader.background.rgb, ~filled, press, options, rng
-                )
-            yield _ReadPress(name=file.name, samples=samples, found=found)
+                samples = samples_from_press(change, reader.background.rgb, ~filled, press, options, rng)
+        yield _ReadPress(name=name, samples=samples, labelled=labelled, found=found, change=small)
         on_frame(done, len(capture.present))
 
 
-def read_press_label(path: Path | str) -> tuple[float, float, float]:
-    """Read centre u, v and contact radius, pixels, of one press."""
-    words = read_text(path).split()
+def read_press_label(path: Path | str) -> FloatArray:
+    """Read centre u, v and contact radius (3,), pixels, of one press."""
+    return _circle(read_text(path).split(), str(path))
+
+
+def _circles_of_file(path: Path) -> dict[str, FloatArray]:
+    """Read circles by the name of their image, from lines `NAME u v radius`; empty lines do not count."""
+    circles = {}
+    for number, line in enumerate(read_text(path).splitlines(), start=1):
+        if line.strip():
+            name, *words = line.rsplit(maxsplit=3)
+            circles[name.strip()] = _circle(words, f"{path} line {number}")
+    return circles
+
+
+def _circle(words: Sequence[str | float], where: str) -> FloatArray:
+    """Centre u, v and contact radius (3,), pixels."""
     try:
-        values = [float(word) for word in words]
+        values = np.array([float(word) for word in words])
     except ValueError as error:
         raise BadInput(
-            f"{path}: expected three numbers (u, v, contact radius), got '{words[0][:40]} …'"
+            f"{where}: expected three numbers (u, v, contact radius), got '{words[0]:.40} …'"
         ) from error
     if len(values) != 3 or not np.isfinite(values).all() or values[2] <= 0:
-        raise BadInput(f"{path}: expected three numbers (u, v, contact radius > 0), got {len(values)}")
-    return values[0], values[1], values[2]
+        raise BadInput(f"{where}: expected three numbers (u, v, contact radius > 0), got {len(values)}")
+    return values
 
 
-def label_path(folder: Path, image: Path) -> Path:
-    """The label of an image: the file of its name with the suffix .txt."""
-    return folder / f"{image.stem}.txt"
+def _press(circle: FloatArray) -> Press:
+    u, v, radius = circle.tolist()
+    return Press(u_px=u, v_px=v, radius_px=radius)

@@ -16,8 +16,8 @@ from vntoolkit.io.results.manifest import FRAME_FILES
 
 if TYPE_CHECKING:
     from vntoolkit.materials.mixtures import MaterialLabels
-    from vntoolkit.pipeline.contact import Contact
     from vntoolkit.shadows.lamp_directions import LampDirections
+    from vntoolkit.tactile.contact import Contact
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -118,6 +118,11 @@ def _examined(
         if materials:
             alike = in_one_material(FrameProcessor(rig, request.options, mask), rig, materials, told)
         examined = examine_capture(footage.capture, calibrated, mask, judged, alike)
+        if rig.gel is not None:
+            from vntoolkit.pipeline.gel import findings_from_footage
+
+            of_gel = findings_from_footage(calibrated, footage.capture, judged)
+            examined = replace(examined, findings=[*examined.findings, *of_gel])
     except BadCapture as problem:  # a bad frame is reported when its turn comes
         logger.debug("plausibility not checked: %s", problem)
         return Examination(findings=[])

@@ -3,12 +3,12 @@
 from vntoolkit.arrays import LinearImage, Mask
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, NormalMap
-from vntoolkit.io.footage.gel_dots import DotFilter
-from vntoolkit.normals.gel import GelInverter, drift_of_change
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.gel import GelResponse
 from vntoolkit.photometry.response import LightResponse
-from vntoolkit.pipeline.contact import Contact, contact_from_depth, rested
+from vntoolkit.tactile.contact import Contact, contact_from_depth, rested
+from vntoolkit.tactile.dots import DotFilter
+from vntoolkit.tactile.inversion import GelInverter, drift_of_change
 
 
 class PressedGel:

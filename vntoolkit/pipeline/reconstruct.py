@@ -108,6 +108,12 @@ def _checked_footage(request: Request, frames: FrameRange, jobs: int, scheduler:
     info, mattes = footage.capture.info, footage.mattes
     request.rig.require_background(request.background is not None)
     request.rig.require_size(info.width, info.height, request.source)
+    rig = request.rig
+    if request.options.distance_m is not None and not rig.camera.is_perspective and rig.gel is None:
+        logger.warning(
+            "--distance changes nothing: the rig's camera is orthographic, so depth stays in its own unit; "
+            "calibrate with --camera or --focal-px for a perspective one"
+        )
     numbers = frames.numbers(info.frame_count)
     if request.gaps is Gaps.REFUSE:
         require_mattes(mattes, (n for n in footage.capture.present if n in numbers), request.mask)

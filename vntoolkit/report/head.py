@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from vntoolkit.arrays import ByteArray, FloatArray, Mask, Vector3
-from vntoolkit.calibration.fit import angles_deg
 from vntoolkit.calibration.head.hull import turn_angles_deg
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.rays import RayScene, pixel_rays
 from vntoolkit.geometry.rigid import RigidTransform
+from vntoolkit.photometry.fit_quality import angles_deg
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline.calibrate import CalibrationJob
 from vntoolkit.pipeline.calibrate_head import HeadCalibration

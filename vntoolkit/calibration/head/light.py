@@ -10,11 +10,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from vntoolkit.arrays import BoolArray, FloatArray, IntArray, Points, read_only
-from vntoolkit.calibration.fit import fit_quality, response_from_unknowns, warn_of_weak_fit
+from vntoolkit.calibration.fit import fit_quality, response_from_unknowns
 from vntoolkit.calibration.head.samples import HeadRays, HeadSamples
 from vntoolkit.errors import BadCalibration
 from vntoolkit.options.calibration import ResponseModel
 from vntoolkit.options.head import LightOptions
+from vntoolkit.photometry.fit_quality import warn_of_weak_fit
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.rig import FitQuality
 

@@ -5,20 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from vntoolkit.calibration.fit import angles_deg
-from vntoolkit.calibration.presses import (
-    Press,
-    PressSamples,
-    find_contact_circle,
-    fit_gel_to_presses,
-    fit_label_offset,
-    normals_of_press,
-    samples_from_press,
-)
 from vntoolkit.calibration.varying import VariationOptions, fit_varying_response
 from vntoolkit.errors import BadCalibration, BadInput
 from vntoolkit.options.calibration import LabelOffset, PressOptions
+from vntoolkit.photometry.fit_quality import angles_deg
 from vntoolkit.photometry.response import LightResponse, rgb_from_normals
+from vntoolkit.tactile.circles import Press, find_contact_circle
+from vntoolkit.tactile.fit import fit_gel_to_presses, fit_label_offset
+from vntoolkit.tactile.presses import PressSamples, normals_of_press, samples_from_press
+from vntoolkit.tactile.response import normals_from_change
 
 MATRIX = np.array([[0.4, 0.1, -0.42], [-0.2, 0.35, -0.45], [-0.15, -0.35, -0.5]])
 LEVEL = -MATRIX[:, 2]
@@ -61,7 +56,7 @@ def test_presses_give_the_response(rng) -> None:
     assert fit.quality.residual_deg < 0.8  # the noise of 0.004
     assert fit.held_back_deg < 0.9
     assert fit.quality.method == "presses"
-    flat = fit.gel.normals_from_change(np.zeros((1, 3)), np.array([[80.0, 7.0]]), fit.response)
+    flat = normals_from_change(np.zeros((1, 3)), np.array([[80.0, 7.0]]), fit.response, fit.gel)
     np.testing.assert_array_equal(flat, [[0, 0, -1]])
 
 
@@ -72,12 +67,12 @@ def test_near_lamps_and_a_bent_answer_are_fitted_on_presses_not_seen(rng) -> Non
     press = Press(u_px=30, v_px=40, radius_px=16)
     change = pressed_gel(press, rng, 0.3)
     v, u = np.nonzero(np.hypot(np.indices(SHAPE)[1] - 30, np.indices(SHAPE)[0] - 40) < 14)
-    found = fit.gel.normals_from_change(change[v, u], np.column_stack([u, v]), fit.response)
+    found = normals_from_change(change[v, u], np.column_stack([u, v]), fit.response, fit.gel)
     error = np.median(angles_deg(found, true_normals(press)[v, u]))
     one = replace(fit.gel, coefficients=np.zeros_like(fit.gel.coefficients))
     alone = np.median(
         angles_deg(
-            one.normals_from_change(change[v, u], np.column_stack([u, v]), fit.response),
+            normals_from_change(change[v, u], np.column_stack([u, v]), fit.response, one),
             true_normals(press)[v, u],
         )
     )

@@ -15,16 +15,17 @@ from vntoolkit.arrays import Array, Float32Array, FloatArray, LinearImage, Mask,
 from vntoolkit.checks import require_mask, require_shape
 from vntoolkit.geometry.maps import NOISE_CELL_PX, NormalMap
 from vntoolkit.native import njit
-from vntoolkit.normals.expected_error import NINE_OF_TEN
-from vntoolkit.photometry.gel import STEEPEST, GelResponse
+from vntoolkit.photometry.gel import GelResponse
 from vntoolkit.photometry.levelling import FLAGS
 from vntoolkit.photometry.response import LightResponse
+from vntoolkit.tactile.response import STEEPEST
 
 _VOTES = 1200  # pixels that the drift is fitted to, evenly spread
 _ROUNDS = 6
 _LEAST_NOISE = 0.004  # of full scale: one grey level of 8 bits; smaller residuals are no evidence
 _TILTS = 4096  # steps of the cosine in the table of errors
 _LEAST_FACING = 0.1
+_NINE_OF_TEN = 2.146  # √(2 ln 10) standard deviations hold nine of ten angles of a normal distribution
 _DRIFT_TERMS = 6  # of a quadratic of the place
 
 
@@ -102,7 +103,7 @@ def _noise_deg(normals: Array) -> float:
     p = x[rows + 1] / z[rows + 1] - x[rows - 1] / z[rows - 1]
     q = y[rows] / z[rows]
     curl = 0.5 * (p[:, 1:-1] - (q[:, 2:] - q[:, :-2]))
-    return NINE_OF_TEN * float(np.degrees(1.4826 * np.median(np.abs(curl))))
+    return _NINE_OF_TEN * float(np.degrees(1.4826 * np.median(np.abs(curl))))
 
 
 class _Model(NamedTuple):

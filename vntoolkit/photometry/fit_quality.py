@@ -1,0 +1,42 @@
+"""How well a light response is determined: the angle that it leaves, the cone of normals, its condition."""
+
+import logging
+
+import numpy as np
+
+from vntoolkit.arrays import Points
+from vntoolkit.photometry.rig import FitQuality
+
+logger = logging.getLogger(__name__)
+_NARROW_CONE_DEG = 20.0  # half-angle: narrower, a percent of noise in the colours tilts M by degrees
+_LARGE_CONDITION_NUMBER = 30.0
+_SHARE_IN_CONE = 95.0
+
+
+def angles_deg(first: Points, second: Points) -> Points:
+    """Angle in degrees between corresponding vectors of any length, (n, 3) each; exact near 0."""
+    cross = np.linalg.norm(np.cross(first, second), axis=-1)
+    return np.rad2deg(np.arctan2(cross, np.sum(first * second, axis=-1)))
+
+
+def cone_of_normals_deg(normals: Points) -> float:
+    """Half-angle of the narrowest cone about the mean direction that holds 95 % of the normals (n, 3)."""
+    axis = normals.mean(axis=0)
+    return float(np.percentile(angles_deg(normals, np.broadcast_to(axis, normals.shape)), _SHARE_IN_CONE))
+
+
+def warn_of_weak_fit(quality: FitQuality) -> None:
+    """Log a warning where the normals span too narrow a cone or M is badly conditioned."""
+    if quality.cone_deg < _NARROW_CONE_DEG:
+        logger.warning(
+            "the normals seen lie within %.0f degrees of their mean: the light response beyond that is a "
+            "guess; tilt the target further (at least %.0f degrees)",
+            quality.cone_deg,
+            _NARROW_CONE_DEG,
+        )
+    if quality.condition_number > _LARGE_CONDITION_NUMBER:
+        logger.warning(
+            "M has condition number %.0f: noise is amplified as much; move the lights further apart or make "
+            "their colours purer (below 10 is good)",
+            quality.condition_number,
+        )

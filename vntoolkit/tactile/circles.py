@@ -1,0 +1,107 @@
+"""Contact circles of presses, found in the change of colour alone, before any response is known.
+
+A dent is symmetric about its middle, and a normal and the one opposite lean opposite ways. The change of
+colour d is nearly linear in the normal, so that d(c + δ) ≈ −d(c − δ) about the middle c, whatever M is. The
+autoconvolution Σ d(x) · d(2c − x) is then most negative at the middle: one Fourier transform finds it.
+Inside the contact the tilt grows with the distance, beyond it the gel flattens out: the change is strongest
+at the contact's rim.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from scipy import fft
+
+from vntoolkit.arrays import FloatArray, LinearImage
+from vntoolkit.checks import require_shape
+
+_SEARCHED_PX = 120  # shorter side of the picture that is searched; the middle is found between its pixels
+_BLUR_PX = 1.0  # there: what is left of dots and grain is no dent
+_NOISE_FACTOR = 3.0  # changes below so many times the median are noise, and are shrunk to 0
+_SMALLEST_RADIUS_PX = 3
+_LEAST_SYMMETRY = 0.4  # 1 where all of the change is odd about the middle, 0 for one that is not at all
+
+
+@dataclass(frozen=True, kw_only=True)
+class Press:
+    """One press as labelled: centre (u, v) and radius of the contact circle, pixels."""
+
+    u_px: float
+    v_px: float
+    radius_px: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class FoundCircle:
+    """A contact circle and how odd the change is about its middle, at most 1."""
+
+    press: Press
+    symmetry: float
+
+
+def find_contact_circle(change: LinearImage) -> FoundCircle | None:
+    """Find the dent of one ball in a change of colour (h, w, 3) without drift and dots; None without one."""
+    require_shape(change, (None, None, 3), "change of colour")
+    step = _step_of(change)
+    small = shrunk_change(change)
+    height, width = small.shape[:2]
+    small = np.asarray(cv2.GaussianBlur(small, (0, 0), _BLUR_PX), dtype=np.float32)
+    strength = np.linalg.norm(small, axis=2)
+    noise = _NOISE_FACTOR * float(np.median(strength))
+    small = small * (np.maximum(strength - noise, 0.0) / np.maximum(strength, 1e-12))[..., None]
+    energy = float((small**2).sum())
+    if not energy > 0:
+        return None
+    spectrum = fft.rfft2(small, (2 * height, 2 * width), axes=(0, 1))
+    odd = -np.asarray(fft.irfft2((spectrum**2).sum(axis=2), (2 * height, 2 * width)))
+    row, column = np.unravel_index(int(np.argmax(odd)), odd.shape)
+    symmetry = float(odd[row, column]) / energy
+    if symmetry < _LEAST_SYMMETRY:
+        return None
+    v = (row + _peak(odd[:, column], int(row))) / 2
+    u = (column + _peak(odd[row], int(column))) / 2
+    radius = _rim(strength, float(u), float(v))
+    if radius is None:
+        return None
+    middle = (step - 1) / 2  # of a block of pixels
+    press = Press(u_px=u * step + middle, v_px=v * step + middle, radius_px=radius * step)
+    return FoundCircle(press=press, symmetry=symmetry)
+
+
+def shrunk_change(change: LinearImage) -> LinearImage:
+    """A change of colour (h, w, 3) as it is searched, its shorter side 120 to 239 pixels long."""
+    step = _step_of(change)
+    height, width = change.shape[0] // step, change.shape[1] // step
+    whole = change[: height * step, : width * step]
+    return np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA), dtype=np.float32)
+
+
+def _step_of(change: LinearImage) -> int:
+    return max(1, min(change.shape[:2]) // _SEARCHED_PX)
+
+
+def _peak(values: FloatArray, at: int) -> float:
+    """Where between pixels a parabola through the largest value and its neighbours peaks, −1/2 to 1/2."""
+    if not 0 < at < len(values) - 1:
+        return 0.0
+    before, here, after = (float(values[at + k]) for k in (-1, 0, 1))
+    bend = before - 2 * here + after
+    return 0.5 * (before - after) / bend if bend < 0 else 0.0
+
+
+def _rim(strength: FloatArray, u: float, v: float) -> float | None:
+    """Radius at which the change is strongest, in the median over the circle."""
+    rows, columns = np.indices(strength.shape)
+    distance = np.hypot(columns - u, rows - v)
+    furthest = int(min(strength.shape) / 2)
+    profile = np.array(
+        [
+            np.median(strength[(distance >= radius - 0.5) & (distance < radius + 0.5)])
+            for radius in range(_SMALLEST_RADIUS_PX, furthest)
+        ]
+    )
+    if len(profile) < 3:
+        return None
+    at = int(np.argmax(profile))
+    return _SMALLEST_RADIUS_PX + at + _peak(profile, at)
