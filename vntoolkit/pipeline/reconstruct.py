@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from vntoolkit.arrays import Mask
-from vntoolkit.diagnosis.finding import Finding, judge
+from vntoolkit.diagnosis.finding import Finding, Level, judge
 from vntoolkit.diagnosis.inspection import Examination, examine_capture
 from vntoolkit.errors import BadCapture, BadInput, VntError
 from vntoolkit.io.atomic import remove_numbered, require_apart, sole_writer, write_text
@@ -129,7 +129,7 @@ def reconstruct(
         logger.warning("%s: left out, since the frames are named otherwise: %s", job.source, names)
     missing = _missing_frames(capture, mattes, numbers)
     examined = Examination(findings=[])
-    if not seeks_materials(job) and job.surface is None:
+    if job.surface is None:
         examined = _require_plausible(job, capture, mattes, numbers)
     with sole_writer(root):
         job, manifest, log = _prepared(job, capture, mattes, frames, overwrite, examined)
@@ -173,11 +173,14 @@ def _prepared(
     earlier = manifests.read_manifest(root) if resumes else None
     if earlier is None and job.surface is not None:  # the materials are those of the reconstruction refined
         earlier = manifests.read_manifest(job.surface.result)
+    sought = seeks_materials(job)
     job = _with_lamps(job, capture, mattes, numbers, earlier)
     job, measured = resolve_options(job, capture, mattes, numbers, earlier)
-    if seeks_materials(job) and job.surface is None:
+    if job.surface is None and job.reflectances:
         state = LabelState() if measured.seen is None else measured.seen.state
         examined = _require_plausible(job, capture, mattes, numbers, state)
+    elif job.surface is None and sought:
+        judge(examined.findings, job.allow)
     job = _with_blur(_with_near_lamps(job, examined, earlier), examined, earlier)
     materials = measured.entries
     if earlier is None and measured.seen is not None and job.rig.response.variation is not None:
@@ -271,7 +274,8 @@ def _require_plausible(
 ) -> Examination:  # fmt: skip
     """Log and return what the footage tells of mistakes; raise `FatalFinding` for one that ruins normals.
 
-    state: what the first frame told of its materials; None where an earlier run measured them.
+    Materials that are sought later might explain what is fatal. So footage is judged as it is first, for
+    fatal findings alone; and again when they are found. state: what the first frame told of materials.
     """
     rig = job.rig if job.calibrated is None else replace(job.rig, transfer=job.calibrated)
     try:
@@ -280,7 +284,9 @@ def _require_plausible(
     except BadCapture as problem:  # a bad frame is reported when its turn comes
         logger.debug("plausibility not checked: %s", problem)
         return Examination(findings=[])
-    judge(examined.findings, job.allow)
+    are_last = state is not None or not seeks_materials(job)
+    told = [each for each in examined.findings if are_last or each.level is Level.FATAL]
+    judge(told, job.allow)
     return examined
 
 
