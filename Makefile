@@ -12,7 +12,7 @@ test: $(READY)
 	$(PYTHON) -m pytest -m "not slow" -n 2 --dist loadfile
 
 test-slow: $(READY)
-	$(PYTHON) -m pytest -m slow
+	$(PYTHON) -m pytest -m slow --durations=30
 
 # Ten thousand damaged files of every kind that is read, then every interrupted run; prints its seed.
 fuzz: $(READY)

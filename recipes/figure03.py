@@ -1,6 +1,6 @@
 """Figure 3: calibrate on a bare head that turns, then reconstruct the same face while it moves.
 
-    python recipes/figure03.py --out out/figure03 [--quick]        # quick: 640x480, 2 min of processor time
+    python recipes/figure03.py --out out/figure03 [--quick]        # quick: 480x360, 2 min of processor time
 
 The turning head gives poses, its own shape and M (brostow2011, IV); the face's frames then give normals,
 which are compared with those of the true M.
@@ -21,6 +21,7 @@ from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.maps_and_meshes.meshes import write_mesh
 from vntoolkit.io.rigs import write_rig
 from vntoolkit.normals.inversion import normals_from_frame
+from vntoolkit.options.simulation import Nuisances, SceneOptions
 from vntoolkit.pipeline.calibrate import CalibrationJob
 from vntoolkit.pipeline.calibrate_head import calibrate_head
 from vntoolkit.pipeline.simulate import SimulationFolder, SimulationJob, simulate
@@ -28,9 +29,8 @@ from vntoolkit.report.head import write_head_figure
 from vntoolkit.report.pictures import ErrorScale, row_of_frame, write_tiles
 from vntoolkit.report.recipes_page import number, write_numbers
 from vntoolkit.simulation.image_formation import true_response
-from vntoolkit.simulation.nuisances import Nuisances
 from vntoolkit.simulation.render import render_frame
-from vntoolkit.simulation.scene import SceneOptions, build_scene
+from vntoolkit.simulation.scene import build_scene
 
 SCALE = ErrorScale(most=40.0)
 FACE_FRAMES = (0, 110, 290, 520)  # at rest, smiling, grimacing, speaking
@@ -73,4 +73,4 @@ if __name__ == "__main__":
     parser.add_argument("--out", type=Path, default=Path("out/figure03"), help="folder to write")
     parser.add_argument("--quick", action="store_true", help="smaller pictures, one of them a face")
     arguments = parser.parse_args()
-    main(arguments.out, *(((640, 480), (0,)) if arguments.quick else ()))
+    main(arguments.out, *(((480, 360), (0,)) if arguments.quick else ()))

@@ -1,6 +1,6 @@
 """Figure 10: a checkerboard on the sweater, tracked by each method side by side.
 
-    python recipes/figure10.py --out out/figure10 [--frames 1000]  # 1000 frames: about 2 h; --quick 4 min
+    python recipes/figure10.py --out out/figure10 [--frames 1000]  # 1000 frames: about 2 h; --quick 1 min
 
 As figure08.py, on the simulated sweater.
 

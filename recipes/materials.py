@@ -1,6 +1,6 @@
 """Table: subjects of many colours, and the same subjects in one colour.
 
-    python recipes/materials.py --out out/materials [--quick]        # 8 min; quick 3 min
+    python recipes/materials.py --out out/materials [--quick]        # 8 min; quick 1 min
 
 The rig is learned once: three stills of a grey ball, one under each lamp alone. With it a sweater is
 reconstructed that is plain, striped, printed with a logo of four colours, woven in a tartan; then a face in
@@ -113,4 +113,4 @@ if __name__ == "__main__":
     parser.add_argument("--out", type=Path, default=Path("out/materials"), help="folder to write")
     parser.add_argument("--quick", action="store_true", help="smaller pictures, one frame of each scene")
     arguments = parser.parse_args()
-    main(arguments.out, *(("0:1", "480x360") if arguments.quick else ()))
+    main(arguments.out, *(("0:1", "320x240") if arguments.quick else ()))

@@ -2,6 +2,9 @@
 
 import ast
 import json
+import os
+import subprocess
+import sys
 import tomllib
 from pathlib import Path
 
@@ -26,6 +29,18 @@ def test_the_recipes_are_packed_where_the_command_looks() -> None:
     packing = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["hatch"]["build"]["targets"]
     assert packing["wheel"]["force-include"]["recipes"] == "vntoolkit/recipes"
     assert {"figure06", "figure07", "nuisances", "real_objects"} <= set(recipe.recipes())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [name for name in recipe.recipes() if name != "readme_picture"])
+def test_a_recipe_runs_in_its_short_form(name: str, tmp_path: Path) -> None:
+    if name == "real_objects" and "VNTOOLKIT_REAL_DATA" not in os.environ:
+        pytest.skip("VNTOOLKIT_REAL_DATA is not set: there are no photographs")
+    command = f"{sys.executable} -m vntoolkit recipe run {name} --out {tmp_path / 'out'} --quick".split()
+    paths = os.environ | {"PYTHONPATH": str(ROOT)}
+    done = subprocess.run(command, cwd=tmp_path, env=paths, text=True, capture_output=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert any((tmp_path / "out").iterdir())
 
 
 @pytest.fixture
@@ -53,8 +68,10 @@ def test_one_runs_by_name_with_its_own_arguments(made_up: Path, capsys: pytest.C
     with pytest.raises(BadInput, match="no footage"):
         recipe.run("bad", "--quick", out=made_up / "out")
     assert "bad has no shorter form: it runs in full" in capsys.readouterr().out
-    with pytest.raises(BadInput, match="expected all, or one of good, bad"):
+    with pytest.raises(BadInput, match=r"expected all, or one of good, bad$"):
         recipe.run("other")
+    with pytest.raises(BadInput, match=r"one of good, bad; did you mean good\?$"):
+        recipe.run("goood")
 
 
 def test_all_run_and_the_one_that_fails_is_named(made_up: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -119,7 +119,7 @@ def test_skeletons_that_are_none(tmp_path, changed, line):
         ("HIERARCHY\nMOTION\nFrames: 1\nFrame Time: 0.1\n0\n", "no ROOT in the hierarchy"),
         (f"HIERARCHY\nROOT {'x' * 9000}\n", "the name of a joint has 4096 characters"),
         ("HIERARCHY\nROOT a\n{\n", "no MOTION section: the file is truncated or not BVH"),
-        ("HIERARCHY\nROOT a\n{\nJOINT a\n", r"joint 'a' occurs twice or has no name \(a cycle\?\)"),
+        ("HIERARCHY\nROOT a\n{\nJOINT a\n{\n", r"joint 'a' occurs twice or has no name \(a cycle\?\)"),
         ("HIERARCHY\nROOT a\n{\nMOTION\n", "1 unmatched braces in the hierarchy"),
     ],
 )

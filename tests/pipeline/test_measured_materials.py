@@ -22,17 +22,17 @@ from vntoolkit.io.maps_and_meshes.maps import read_normal_map
 from vntoolkit.io.maps_and_meshes.meshes import read_mesh
 from vntoolkit.io.results.manifest import MaterialEntry, read_manifest
 from vntoolkit.materials.search import Material, find_materials
+from vntoolkit.options.normals import ShadowMethod
+from vntoolkit.options.reconstruction import MaterialSearch, Product, ReconstructOptions
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse, with_near_lamps
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline import measured_materials
 from vntoolkit.pipeline.block_work import ReconstructionJob
 from vntoolkit.pipeline.frame_processor import FrameProcessor
-from vntoolkit.pipeline.options import MaterialSearch, Product, ReconstructOptions
 from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.reconstruct import _in_one_material, reconstruct
 from vntoolkit.pipeline.referenced_captures import read_capture
-from vntoolkit.shadows.detector import ShadowMethod
 
 DIRECTIONS = np.array([[0.5, 0.0, -0.866], [-0.25, 0.433, -0.866], [-0.25, -0.433, -0.866]])
 COLOURS = np.array([[0.7, 0.1, 0.02], [0.08, 0.6, 0.1], [0.02, 0.12, 0.65]])

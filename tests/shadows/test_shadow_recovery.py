@@ -11,6 +11,7 @@ import pytest
 
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
+from vntoolkit.options.normals import RecoveryMethod
 from vntoolkit.photometry.frame import LinearFrame, count_lit, labels_from_lit
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.shadows import initialisation, surface
@@ -18,12 +19,7 @@ from vntoolkit.shadows.albedo import albedo_from_lit, fill_smoothly
 from vntoolkit.shadows.contributions import working_image
 from vntoolkit.shadows.detector import ShadowDetector
 from vntoolkit.shadows.initialisation import continue_with_two_lights, roots_from_two_lights
-from vntoolkit.shadows.recovery import (
-    RecoveryMethod,
-    confidence_weight,
-    recover_normals,
-    recover_surface,
-)
+from vntoolkit.shadows.recovery import confidence_weight, recover_normals, recover_surface
 from vntoolkit.shadows.surface import LabelledImage, SurfaceOptions, solve_surface
 from vntoolkit.solvers import (
     grid_hierarchy,

@@ -5,10 +5,11 @@ from pathlib import Path
 import pytest
 
 from vntoolkit.evaluation.angular_error import angles_between_deg
+from vntoolkit.options.normals import RecoveryMethod
 from vntoolkit.photometry.frame import count_lit
 from vntoolkit.pipeline.referenced_captures import read_capture
 from vntoolkit.shadows.detector import ShadowDetector
-from vntoolkit.shadows.recovery import RecoveryMethod, recover_normals
+from vntoolkit.shadows.recovery import recover_normals
 
 # Mean error over all pixels, and over pixels in one shadow. Measured: 8.22 and 17.6; 7.89 and 16.2; 7.34 and
 # 18.2 degrees.

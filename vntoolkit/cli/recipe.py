@@ -1,5 +1,6 @@
 """`vntoolkit recipe list|run`: the experiments of the paper, one script each."""
 
+import difflib
 import logging
 import runpy
 import sys
@@ -16,6 +17,11 @@ from vntoolkit.report.recipes_page import RecipeRun, read_recipe_text, write_rec
 
 _LOG = logging.getLogger(__name__)
 _EXPERIMENTS = ("Figure", "Table")  # first words of the summary; other recipes make data and pictures
+
+
+def run_recipe(name: str, *arguments: str, out: Path | str | None = None) -> None:
+    """Run one recipe by its name, or all; arguments are its own options, such as "--quick"."""
+    run(name, *arguments, out=None if out is None else Path(out))
 
 
 def list_() -> None:
@@ -48,7 +54,9 @@ def run(
         return
     found = recipes()
     if name not in found:
-        raise BadInput(f"recipe '{name}': expected all, or one of {', '.join(found)}")
+        close = difflib.get_close_matches(name, found, n=1)
+        hint = f"; did you mean {close[0]}?" if close else ""
+        raise BadInput(f"recipe '{name}': expected all, or one of {', '.join(found)}{hint}")
     understood = list(arguments)
     if "--quick" in arguments and '"--quick"' not in found[name].read_text("utf-8"):
         print(f"{name} has no shorter form: it runs in full")

@@ -37,10 +37,10 @@ from vntoolkit.materials.regions import (
     regions_of,
 )
 from vntoolkit.materials.split_frame import SplitFrame, split_frame, stacked
+from vntoolkit.options.reconstruction import MOST_MATERIALS
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
 
-MOST_MATERIALS = 12
 _SEARCHED_PIXELS = 40_000  # of the subject
 _LEAST_INSIDE = 1 / 3  # of the blocks, that lie inside patches, as of squares that hold a region each
 WORST_ERROR_DEG = 5.0  # of normals, by what their spread leaves open of a reflectance

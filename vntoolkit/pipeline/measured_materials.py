@@ -25,13 +25,13 @@ from vntoolkit.materials.search import (
 )
 from vntoolkit.materials.split_frame import block_size
 from vntoolkit.normals.inversion import relative_albedo_from_frame
+from vntoolkit.options.reconstruction import MaterialSearch
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.levelling import leveller_of
 from vntoolkit.photometry.response import LightResponse, scaled_normals_from_rgb
 from vntoolkit.pipeline.block_work import ReconstructionJob, read_ahead
 from vntoolkit.pipeline.found_lamps import lamps_in_words
 from vntoolkit.pipeline.frame_processor import FrameProcessor
-from vntoolkit.pipeline.options import MaterialSearch
 
 logger = logging.getLogger(__name__)
 _LOOKED_AT = 3  # frames …

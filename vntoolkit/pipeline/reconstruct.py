@@ -17,9 +17,8 @@ from vntoolkit.diagnosis.inspection import Examination, examine_capture
 from vntoolkit.errors import BadCapture, BadInput, VntError
 from vntoolkit.io.atomic import remove_numbered, require_apart, sole_writer, write_text
 from vntoolkit.io.footage.captures import Capture, CaptureInfo
-from vntoolkit.io.footage.frame_range import FrameRange, Gaps
-from vntoolkit.io.footage.mattes import MatteOptions, Mattes, require_mattes
-from vntoolkit.io.footage.mosaics import SensorOptions
+from vntoolkit.io.footage.frame_range import FrameRange
+from vntoolkit.io.footage.mattes import Mattes, require_mattes
 from vntoolkit.io.footage.sequence import text_of_names
 from vntoolkit.io.results import manifest as manifests
 from vntoolkit.io.results.frame_log import FRAMES_NAME, FrameEntry, FrameLog
@@ -27,6 +26,9 @@ from vntoolkit.io.rigs import entry_from_rig
 from vntoolkit.materials.labelling import LabelState, MaterialLabeller
 from vntoolkit.materials.mixtures import near_seams
 from vntoolkit.materials.relighting import relit
+from vntoolkit.options.footage import Gaps, MatteOptions, SensorOptions
+from vntoolkit.options.normals import ShadowMethod
+from vntoolkit.options.reconstruction import MaterialSearch
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import with_near_lamps
 from vntoolkit.pipeline.block_work import Block, BlockWorker, ReconstructionJob
@@ -39,11 +41,9 @@ from vntoolkit.pipeline.measured_materials import (
     refitted_materials,
     seeks_materials,
 )
-from vntoolkit.pipeline.options import SENSOR_PREFIX, MaterialSearch, option_values
+from vntoolkit.pipeline.options import SENSOR_PREFIX, option_values
 from vntoolkit.pipeline.outputs import FRAME_FILES
-from vntoolkit.pipeline.painted_surface import TrackedReflectance
 from vntoolkit.pipeline.processes import shared_out
-from vntoolkit.shadows.detector import ShadowMethod
 
 logger = logging.getLogger(__name__)
 Started = Callable[[int, int], None]
@@ -128,9 +128,7 @@ def reconstruct(
         names = text_of_names([path.name for path in capture.info.left_out])
         logger.warning("%s: left out, since the frames are named otherwise: %s", job.source, names)
     missing = _missing_frames(capture, mattes, numbers)
-    examined = Examination(findings=[])
-    if job.surface is None:
-        examined = _require_plausible(job, capture, mattes, numbers)
+    examined = _require_plausible(job, capture, mattes, numbers)
     with sole_writer(root):
         job, manifest, log = _prepared(job, capture, mattes, frames, overwrite, examined)
         on_disk = {number for number in log.done() if job.folder.has(number, *job.folders)}
@@ -171,15 +169,13 @@ def _prepared(
     numbers = frames.numbers(capture.info.frame_count)
     resumes = manifests.has_manifest(root) and not overwrite
     earlier = manifests.read_manifest(root) if resumes else None
-    if earlier is None and job.surface is not None:  # the materials are those of the reconstruction refined
-        earlier = manifests.read_manifest(job.surface.result)
     sought = seeks_materials(job)
     job = _with_lamps(job, capture, mattes, numbers, earlier)
     job, measured = resolve_options(job, capture, mattes, numbers, earlier)
-    if job.surface is None and job.reflectances:
+    if job.reflectances:
         state = LabelState() if measured.seen is None else measured.seen.state
         examined = _require_plausible(job, capture, mattes, numbers, state)
-    elif job.surface is None and sought:
+    elif sought:
         judge(examined.findings, job.allow)
     job = _with_blur(_with_near_lamps(job, examined, earlier), examined, earlier)
     materials = measured.entries
@@ -462,20 +458,11 @@ def manifest_of_run(
         rig=entry_from_rig(job.rig),
         options=_options_that_shape(job),
         materials=materials,
-        surface=_entry_of_surface(job.surface),
         findings=[manifests.FindingEntry(check=f.check, level=f.level.value, text=f.text) for f in findings],
         frames=frames.to_text(),
         outputs=job.folders,
         versions=manifests.library_versions(),
         started=manifests.now_utc(),
-    )
-
-
-def _entry_of_surface(known: TrackedReflectance | None) -> manifests.SurfaceEntry | None:
-    if known is None:
-        return None
-    return manifests.SurfaceEntry(
-        frames=known.frames, seen=known.seen, lines=known.lines, spreads=known.spreads
     )
 
 
@@ -492,8 +479,6 @@ def _options_that_shape(job: ReconstructionJob) -> dict[str, Any]:
         values["lamps.nearness"] = job.nearness
     if job.blur_px:
         values["lens.blur_px"] = job.blur_px
-    if job.surface is not None:
-        values["surface.reflectance"] = job.surface.sha256
     return values
 
 

@@ -1,7 +1,6 @@
 """Normals for every pixel of a frame with self-shadows (brostow2011, Section VI-B, and past it)."""
 
 from dataclasses import dataclass
-from enum import Enum
 from typing import Any
 
 import cv2
@@ -15,6 +14,7 @@ from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, NormalMap
 from vntoolkit.geometry.slope_grid import FLATTEST_Z, STEEPEST, RayGrid, ray_at, ray_grid
 from vntoolkit.native import njit
+from vntoolkit.options.normals import RecoveryMethod
 from vntoolkit.photometry.frame import ALL_LIT, LinearFrame
 from vntoolkit.photometry.levelling import FLAGS, span_of
 from vntoolkit.photometry.response import LightResponse
@@ -71,14 +71,6 @@ _ALBEDO_TOLERANCE = 0.4  # departure of a lit pixel's log albedo from its surrou
 # Cosines of the most grazing light to the normal from colour alone.
 _GRAZING = 0.6  # below it the normal solved with the depth stays
 _STEEP = 0.8  # from it on only the colour counts
-
-
-class RecoveryMethod(Enum):
-    """How normals are found where a light is missing."""
-
-    INVERSION = "inversion"  # as if all three lights arrived: the baseline
-    TWO_LIGHTS = "two-lights"  # Onn and Bruckstein's quadratic pixel by pixel, smooth fill elsewhere
-    SURFACE = "surface"  # solved together with the depth, Hernández, Vogiatzis and Cipolla
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -55,3 +55,28 @@ def test_a_video_without_frames(tmp_path):
         container.start_encoding()
     with pytest.raises(BadCapture, match=r"holds no frame|no frame can be decoded|cannot be opened"):
         open_capture(tmp_path / "a.avi")
+
+
+@pytest.mark.parametrize("named", ["film.ts", "../film.ts", "/{folder}/film.ts"])
+@pytest.mark.parametrize("suffix", [".m3u8", ".ffconcat", ".mkv"])
+@pytest.mark.parametrize("kind", ["hls", "concat"])
+def test_a_list_of_other_files_is_no_capture(tmp_path, kind, suffix, named):
+    import av
+
+    folder = tmp_path / "in"
+    folder.mkdir()
+    for place in (folder, tmp_path):
+        with av.open(str(place / "film.ts"), "w", format="mpegts") as container:
+            stream = container.add_stream("mpeg2video", rate=25)
+            stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
+            for frame in (av.VideoFrame(64, 48, "yuv420p"), None):
+                container.mux(stream.encode(frame))
+    film = named.format(folder=tmp_path)
+    texts = {
+        "hls": f"#EXTM3U\n#EXT-X-TARGETDURATION:1\n#EXTINF:0.04,\n{film}\n#EXT-X-ENDLIST\n",
+        "concat": f"ffconcat version 1.0\nfile {film}\n",
+    }
+    (folder / f"list{suffix}").write_text(texts[kind])
+    assert open_capture(folder / "film.ts").info.frame_count == 1
+    with pytest.raises(BadCapture, match="a list of other files, of which each is to be given itself"):
+        open_capture(folder / f"list{suffix}")

@@ -25,13 +25,16 @@ from vntoolkit.io.atomic import atomic_path
 from vntoolkit.io.files import require_file, require_pixels
 from vntoolkit.io.footage import pixel_formats
 from vntoolkit.io.footage.luma_detail import LumaDetail
-from vntoolkit.io.footage.mosaics import Bayer, Demosaic, SensorOptions, rgb_from_mosaic
+from vntoolkit.io.footage.mosaics import rgb_from_mosaic
 from vntoolkit.io.footage.orientation import UPRIGHT, Orientation
+from vntoolkit.options.footage import Bayer, Demosaic, SensorOptions
 
 _HD_HEIGHT = 720
 _INDICES: "dict[tuple[str, int, int], VideoIndex]" = {}  # of files by path, size and time of change, in ns
 _MOST_INDICES = 8
 _WITHOUT_INDEX = ("mpegts", "mpeg")  # of camcorders: FFmpeg finds a time in them, but no key frame
+# They open other files, which no manifest names and which may lie outside the footage's folder.
+_LISTS_OF_FILES = {"concat", "dash", "hls", "imf", "lavfi", "rtp", "rtsp", "sap", "sdp", "vobsub"}
 _EARLY_S = 1  # more than a key frame is decoded ahead of its time
 # AVCOL_TRC_* that a stream may state, in our words; BT.601, xvYCC and BT.2020 share BT.709's curve.
 _TRANSFER_NAMES = {
@@ -541,8 +544,8 @@ def open_video(path: Path) -> tuple[Any, Any]:
         container = _opened(file_name(path))
     except av_errors() as error:
         raise BadCapture(
-            f"{path}: cannot be opened as a video ({reason_of(error)}); it is damaged, cut off or "
-            "in an unknown format"
+            f"{path}: cannot be opened as a video ({reason_of(error)}); it is damaged, cut off, in an "
+            "unknown format, or a list of other files, of which each is to be given itself"
         ) from error
     if not container.streams.video:
         container.close()
@@ -551,17 +554,18 @@ def open_video(path: Path) -> tuple[Any, Any]:
 
 
 def _opened(name: str) -> Any:
-    """Open a file whose title, author or other tag may be no UTF-8; none of them is read here.
+    """Open a container that holds its own frames; its title or other tags may be no UTF-8: none is read.
 
     PyAV up to 18 raises `UnicodeDecodeError` unless told otherwise; from 19 on it hands such bytes on as lone
     surrogates, and has no option for it.
     """
     import av
 
+    alone = {"format_whitelist": ",".join(sorted(av.formats_available - _LISTS_OF_FILES))}
     try:
-        return av.open(name)
+        return av.open(name, options=alone)
     except UnicodeDecodeError:
-        return av.open(name, metadata_errors="replace")
+        return av.open(name, options=alone, metadata_errors="replace")
 
 
 def file_name(path: Path) -> str:
