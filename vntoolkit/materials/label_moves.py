@@ -228,8 +228,8 @@ def _move(
 def _labels_to_try(labels: Any, lit: Any, active: Any, v: int, u: int, side: int, count: int) -> int:
     """Return which labels a block may get, bit m for label m; 0 for none.
 
-    Beside the subject's outline, where a dark label would explain the mixture with what is behind, those that
-    are near alone.
+    On the subject's outline, where a dark label would explain the mixture with what is behind, those that are
+    near alone.
     """
     own, may_change, is_inside, around = 0, False, True, 0
     for a in range(v, v + side):
@@ -242,7 +242,6 @@ def _labels_to_try(labels: Any, lit: Any, active: Any, v: int, u: int, side: int
     look = max(side // 2, 1)
     for a in range(v - look, v + side + look):
         for b in range(u - look, u + side + look):
-            is_inside &= lit[a, b]
             around |= (1 << labels[a, b]) * lit[a, b]
     if side > 1 and is_inside:
         around = (1 << count) - 1
