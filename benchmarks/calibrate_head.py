@@ -22,11 +22,11 @@ from typing import Any
 import numpy as np
 
 from benchmarks.head_truth import HeadTruth
-from vntoolkit.photometry.fit_quality import angles_deg
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.rigs import read_rig
 from vntoolkit.options.head import Features, FollowOptions, HeadOptions
 from vntoolkit.options.simulation import SceneOptions
+from vntoolkit.photometry.fit_quality import angles_deg
 from vntoolkit.pipeline.calibrate import CalibrationJob
 from vntoolkit.pipeline.calibrate_head import calibrate_head
 from vntoolkit.pipeline.simulate import SimulationFolder, SimulationJob, simulate

@@ -10,6 +10,7 @@ from scipy.ndimage import gaussian_filter
 
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
+from vntoolkit.materials.grey_paint import CLEAR, nats_over_grey
 from vntoolkit.materials.label_moves import LabelEnergy
 from vntoolkit.materials.labelling import LabelState, MaterialLabeller
 from vntoolkit.materials.mixtures import Seams, Spread
@@ -51,9 +52,6 @@ class Followed:
     def relit(self, frame: LinearFrame, labels: np.ndarray, mask: np.ndarray | None = None) -> LinearFrame:
         found, self.turned_deg, self.state = self.labeller.relit(frame, labels, self.state, mask)
         return found
-
-    def left_at_seams(self, frame: LinearFrame, mask: np.ndarray, labels: np.ndarray) -> float:
-        return self.labeller.left_at_seams(frame, mask, labels, self.state)
 
     def pigments(self, frame: LinearFrame, mask: np.ndarray, labels: np.ndarray) -> list[Any]:
         return self.labeller.pigments_of(frame, mask, labels, self.state)
@@ -142,15 +140,6 @@ def test_three_paints_are_found_and_leave_no_seam_in_the_normals() -> None:
     assert error < 2.0 < 8.0 < unpainted
 
 
-def test_seams_of_paint_leave_no_step_of_normals_and_those_of_an_invention_do() -> None:
-    frame, _, mask = painted(sectors())
-    labeller = Followed(PAINTS)
-    assert labeller.left_at_seams(frame, mask, labeller.labels(frame, mask)) < 0.3
-    of_one, _, _ = painted(np.zeros_like(sectors()))
-    assert labeller.left_at_seams(of_one, mask, sectors().astype(np.uint8)) > 1.0
-    assert labeller.left_at_seams(of_one, mask, np.zeros_like(sectors(), np.uint8)) == 0.0
-
-
 def knitted_with_logo(size: int = 120) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Normals of knitted cloth over a dome, its mask, and a round logo of four quarters."""
     normals, mask = dome(size)
@@ -202,6 +191,26 @@ def test_one_paint_is_one_material_and_a_number_is_kept() -> None:
     frame, _, mask = painted(np.full((120, 120), 2))
     assert len(find_materials(searched_frames([frame], [mask], RESPONSE))) == 1
     assert len(find_materials(searched_frames([frame], [mask], RESPONSE), 2)) == 2
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_grey_paint_is_beaten_by_a_hue_and_by_prints_and_not_by_gloss(seed: int) -> None:
+    """Gloss and light between folds change light by a tenth, smoothly from place to place, for each lamp."""
+    normals, mask = dome(160)
+    rng = np.random.default_rng(seed)
+    v, u = (np.indices(mask.shape) - 79.5) / 80.0
+    smooth = gaussian_filter(rng.normal(size=(*mask.shape, 3)), (10.0, 10.0, 0.0))
+    gloss = np.exp(0.1 * smooth / smooth.std())
+    squares = rng.integers(0, 3, (8, 8))[((v + 1) * 3.99).astype(int), ((u + 1) * 3.99).astype(int)]
+    grey, hue, prints = np.full(3, 0.8), PAINTS[0], PAINTS[squares]
+    nats = []
+    for rho, gain in ((grey, gloss), (hue, 1.0), (prints, 1.0), (hue, gloss)):
+        light = np.maximum(normals @ DIRECTIONS.T, 0.0) * rho * gain @ COLOURS
+        light += rng.normal(0.0, LEVEL, light.shape)
+        frame = LinearFrame((light * mask[..., None]).astype(np.float32))
+        searched = searched_frames([frame], [mask], RESPONSE)
+        nats.append(nats_over_grey(find_materials(searched), searched))
+    assert nats[0] < CLEAR < min(nats[1:])
 
 
 def test_paints_that_differ_by_six_per_cent_are_two_where_lengths_are_exact() -> None:

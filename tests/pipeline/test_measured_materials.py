@@ -10,6 +10,8 @@ import pytest
 
 from recipes.real_objects import read_capture
 from tests.pipeline.test_reconstruct import digest
+from vntoolkit.diagnosis.finding import FatalFinding, Finding, Level
+from vntoolkit.diagnosis.inspection import Examination
 from vntoolkit.errors import BadInput
 from vntoolkit.evaluation.angular_error import angles_between_deg
 from vntoolkit.geometry.camera import Camera
@@ -213,6 +215,24 @@ def test_the_rigs_own_material_gives_the_bytes_of_calibrated(tmp_path: Path) -> 
     assert digest(job.folder.root) == digest(calibrated.folder.root)
 
 
+def test_what_is_fatal_stops_a_run_that_materials_might_explain(
+    striped: Request, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    wrong = Finding(
+        level=Level.FATAL, check="transfer", problem="the footage is encoded", measured="1", expected="0",
+        remedy="say so",
+    )  # fmt: skip
+
+    def examined(*given: Any) -> Examination:
+        return Examination(findings=[wrong] if given[4] is None else [])
+
+    monkeypatch.setattr("vntoolkit.pipeline.prepare.examine_capture", examined)
+    job = into(striped, "stopped")
+    with pytest.raises(FatalFinding, match="encoded"):
+        reconstruct(job)
+    assert not list(job.folder.root.glob("normals"))
+
+
 def test_meshes_have_the_colour_of_their_material(striped: Request) -> None:
     job = into(filmed(striped.folder.root.parent, PAINTS, 1), "mesh", to=Product.MESH)
     reconstruct(replace(job, source=str(job.folder.root.parent / "frame_00.png")))
@@ -243,6 +263,7 @@ def test_a_colour_that_was_not_found_is_told(
         f"{__name__}.stripes", lambda number: (np.indices((SIZE, SIZE))[1] < share * SIZE) * 1
     )
     monkeypatch.setattr(measured_materials, "find_materials", lambda *given: _only_bright(found(*given)))
+    monkeypatch.setattr(measured_materials, "nats_over_grey", lambda *given: np.inf)
     job = filmed(tmp_path, PAINTS, 1)
     with caplog.at_level(logging.WARNING):
         reconstruct(job)

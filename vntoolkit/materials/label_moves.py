@@ -167,8 +167,8 @@ def _move(
 ) -> int:  # fmt: skip
     """Give each pixel, or each of overlapping blocks, the label that costs least.
 
-    A block may get any label, a pixel those beside it. Returns how many changed. Every second strip of rows
-    is decided at the same time: what is between keeps what they see apart.
+    A block inside may get any label, others those beside them. Returns how many changed. Every second strip
+    of rows is decided at the same time: what is between keeps what they see apart.
 
     s, mean, shade: (h, w, 3), contributions, mixtures, and log of the ratio of the two. of_lengths, of_steps:
     one over the variances.
@@ -226,20 +226,25 @@ def _move(
 
 @njit(cache=True)
 def _labels_to_try(labels: Any, lit: Any, active: Any, v: int, u: int, side: int, count: int) -> int:
-    """Return which labels a block may get, bit m for label m; 0 for none."""
-    own, may_change, around = 0, False, 0
+    """Return which labels a block may get, bit m for label m; 0 for none.
+
+    On the subject's outline, where a dark label would explain the mixture with what is behind, those that are
+    near alone.
+    """
+    own, may_change, is_inside, around = 0, False, True, 0
     for a in range(v, v + side):
         for b in range(u, u + side):
             may_change |= active[a, b]
+            is_inside &= lit[a, b]
             own |= 1 << labels[a, b]
     if not may_change:
         return 0
-    if side > 1:
+    look = max(side // 2, 1)
+    for a in range(v - look, v + side + look):
+        for b in range(u - look, u + side + look):
+            around |= (1 << labels[a, b]) * lit[a, b]
+    if side > 1 and is_inside:
         around = (1 << count) - 1
-    else:
-        for a in range(v - 1, v + 2):
-            for b in range(u - 1, u + 2):
-                around |= (1 << labels[a, b]) * lit[a, b]
     return around & ~own if own & (own - 1) == 0 else around
 
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from vntoolkit.arrays import Float32Array, FloatArray, IntArray, Mask, Points, Vector3
+from vntoolkit.arrays import Float32Array, Mask, Points, Vector3
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.materials.label_moves import MARGIN_PX, LabelEnergy, labels_and_energy
 from vntoolkit.materials.mixtures import SEAM_PRICE, MaterialLabels, Seams, Spread, near_seams
@@ -29,7 +29,6 @@ from vntoolkit.materials.split_frame import (
     SplitFrame,
     block_size,
     blocks_moved,
-    box_of,
     cells_of,
     split_frame,
     steady_box,
@@ -44,13 +43,6 @@ _BESIDE = 4  # … and those that near to a seam
 # Share of the blocks of a frame that is decided as a whole: in later frames what costs more is doubtful.
 _DOUBTFUL_SHARE = 0.1
 _AS_A_WHOLE = 6  # blocks that the picture moves from one frame decided as a whole to the next
-# Two pixels with a seam between them, farther apart than its blur and its labels' errors reach.
-_APART_PX = 6
-_BEFORE, _AFTER = slice(None, -_APART_PX), slice(_APART_PX, None)
-_PAIRS = ((np.s_[_BEFORE, :], np.s_[_AFTER, :]), (np.s_[:, _BEFORE], np.s_[:, _AFTER]))
-_JUDGED = 20_000  # of each kind tell how far normals step
-_STEEP = 0.5  # difference of two such normals from which a larger one hardly counts more
-_LEAST_STEP = 0.02  # excess of the mean step at seams that tells something
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -239,40 +231,6 @@ class MaterialLabeller:
         known = frame, self.response, labels, self.reflectances
         return relit(*known, seams=state.seams, mask=mask, box=box), turned_deg, state
 
-    def left_at_seams(
-        self, frame: LinearFrame, mask: Mask, labels: MaterialLabels, state: LabelState
-    ) -> float:
-        """Return the share of the steps of normals at seams that remains, against one material all over.
-
-        What is printed on a surface is no relief: 0 where normals step at seams as they do elsewhere, 1 as
-        much as if the first material were everywhere. Materials that explain nothing, such as gloss and
-        ambient light taken for paint, leave all or more.
-        """
-        if not labels.any():
-            return 0.0
-        one = replace(self, reflectances=self.reflectances[:1])
-        found, _, _ = self.relit(frame, labels, state, mask, box_of(mask))
-        alone, _, _ = one.relit(frame, np.zeros(mask.shape, np.uint8), LabelState(), mask, box_of(mask))
-        inside, at_seams, at_seams_alone = [], [], []
-        for before, after in _PAIRS:
-            both, is_seam = mask[before] & mask[after], labels[before] != labels[after]
-            for seam in (False, True):
-                chosen = np.flatnonzero(both & (is_seam == seam))
-                chosen = chosen[:: max(1, len(chosen) // _JUDGED)]
-                places = np.unravel_index(chosen, both.shape)
-                steps = _steps(found, before, after, places, self.response)
-                if not seam:
-                    inside.append(steps)
-                else:
-                    at_seams.append(steps)
-                    at_seams_alone.append(_steps(alone, before, after, places, self.response))
-        if not sum(map(len, at_seams)) or not sum(map(len, inside)):
-            return 0.0
-        usual, left, most = (
-            float(np.concatenate(each).mean()) for each in (inside, at_seams, at_seams_alone)
-        )
-        return max(left - usual, 0.0) / max(most - usual, _LEAST_STEP)
-
     def pigments_of(
         self, frame: LinearFrame, mask: Mask, labels: MaterialLabels, state: LabelState
     ) -> list[tuple[Vector3, Vector3] | None]:
@@ -308,22 +266,6 @@ def _spread(lengths: Lengths, logs: Points, regions: Regions) -> Spread:
         costs = prices_of_regions(lengths, spread)
         spread = spread_of(lengths, agreed(costs, logs, regions, SEAM_PRICE))
     return spread
-
-
-def _steps(
-    frame: LinearFrame, before: tuple[slice, ...], after: tuple[slice, ...],
-    places: tuple[IntArray, ...], response: LightResponse,
-) -> FloatArray:  # fmt: skip
-    """(n,), squared differences of normals, 0 to 1, from one part of a frame to another at places in both.
-
-    Those that are steep count hardly more.
-    """
-    normals = []
-    for part in (before, after):
-        scaled = (frame.rgb[part][places] - response.ambient) @ response.inverse.T
-        normals.append(scaled / np.maximum(np.linalg.norm(scaled, axis=1, keepdims=True), 1e-9))
-    squared = ((normals[0] - normals[1]) ** 2).sum(axis=1)
-    return np.asarray(squared / (squared + _STEEP**2))
 
 
 def _take_blocks(labels: MaterialLabels, mask: Mask, factor: int, coarse: MaterialLabels) -> None:

@@ -5,17 +5,18 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.ndimage import gaussian_filter
 
 from vntoolkit.arrays import FloatArray, Mask, Vector3
 from vntoolkit.errors import BadCapture, BadInput
 from vntoolkit.io.results.manifest import MaterialEntry
+from vntoolkit.materials.grey_paint import CLEAR, in_doubt, nats_over_grey
 from vntoolkit.materials.labelling import LabelState, MaterialLabeller
 from vntoolkit.materials.mixtures import MaterialLabels
 from vntoolkit.materials.relighting import relit
 from vntoolkit.materials.search import (
     WORST_ERROR_DEG,
     Material,
+    SearchedFrames,
     find_materials,
     fitted_again,
     searched_frames,
@@ -34,21 +35,12 @@ from vntoolkit.pipeline.threads import read_ahead
 logger = logging.getLogger(__name__)
 _LOOKED_AT = 3  # frames …
 _APART = 8  # … this far from each other, where there are as many: the subject then shows other normals
-_UNEVEN = 0.1  # of log light over a subject that stands a few of its sizes from the lamps
-_SAME_DEG = 1.5  # mean turn of normals below which a material is the rig's own
-# Turn of normals, over the scatter of their lengths from region to region as an angle, that gloss may have
-# made: photographs of one material have 0.8 to 1.4, other colours on cloth 2 and more, on skin 6.
-_BENT = 1.7
-_REGION = 0.02  # of the side of the subject: texture is finer, what gloss and folds do is larger
 _WORST_RESIDUAL = (
     0.22  # of normals' lengths; photographs of one material reach 0.16, of another colour 0.29 on
 )
 _WRONG_LENGTH = 0.25  # of a normal, that neither noise nor shading makes
 _MOST_UNEXPLAINED = 0.1  # of the lit pixels: folds that light each other, eyes, buttons
 _MOST_UNEXPLAINED_OF_ANY = 0.4  # more, and nothing that was found can be trusted
-# Of the steps of normals at seams: printed cloth, a made-up face and painted objects left 0 to 0.7, gloss on
-# photographs of faces and plaster, taken for paint, 0.97 to 1.6.
-_MOST_LEFT = 0.85
 _JUDGED = 40_000  # pixels tell how much is not explained
 _LIT_SHARE = 0.06  # of the strongest lamp's light that reaches a pixel: less may be shadow
 # Another colour pulls all normals towards a lamp: those of simulated garments and faces then lie 43 to 64
@@ -121,17 +113,14 @@ def measured_materials(
         first = levelled[0], subjects[0], central
         count = None if isinstance(choice, MaterialSearch) else choice
         searched = searched_frames(levelled, subjects, central)
-        found = find_materials(searched, count)
-        seen = LabelledFrame.by(found, *first)
-        if count is None and seen.left_at_seams() > _MOST_LEFT:
-            one = find_materials(searched, 1)
-            if _is_of_rig(one[0], *first) or _are_alike(found, one[0], *first):
-                found, seen = one, LabelledFrame.by(one, *first)
-        found = _told(found, choice)
-        found, pigments = _with_pigments(found, seen)
-        found = _explaining(found, pigments, seen, choice)
-        if found and not (choice is MaterialSearch.AUTO and len(found) == 1 and _is_of_rig(found[0], *first)):
-            return MeasuredMaterials(entries=_entries(found, pigments), seen=seen)
+        found = _better_than_grey(find_materials(searched, count), searched, count)
+        if found:
+            seen = LabelledFrame.by(found, *first)
+            found = _told(found, choice)
+            found, pigments = _with_pigments(found, seen)
+            found = _explaining(found, pigments, seen, choice)
+        if found:
+            return MeasuredMaterials(entries=_entries(in_doubt(found, searched), pigments), seen=seen)
     try:
         albedo = relative_albedo_from_frame(firsts[0].frame, response, firsts[0].mask)
     except BadInput as error:
@@ -139,6 +128,24 @@ def measured_materials(
     _warn_of_other_material(response, choice, firsts[0].frame, firsts[0].mask, albedo, lamps_in_words)
     short = float(np.format_float_positional(albedo, precision=4, fractional=False))
     return MeasuredMaterials(entries=[], relative_albedo=short)
+
+
+def _better_than_grey(found: list[Material], searched: SearchedFrames, count: int | None) -> list[Material]:
+    """Return the materials, or one, or none where one paint of the rig's hue describes frames as well.
+
+    count: the number that was asked for; None for any. Several that were asked for are kept.
+    """
+    if count is not None and count > 1:
+        return found
+    for each in (found, find_materials(searched, 1)):
+        if nats_over_grey(each, searched) >= CLEAR:
+            return each
+    if count == 1:
+        logger.warning(
+            "materials: another hue than the rig's describes the subject no better than what gloss and light "
+            "between folds may do; the rig's material is taken; %s", _REMEDY,
+        )  # fmt: skip
+    return []
 
 
 def refitted_materials(
@@ -166,11 +173,13 @@ def refitted_materials(
         plain = leveller_of(response, each.subject.shape).frame(light)
         far.append(relit(plain, response.central, labels, 1.0 / known))
         subjects.append(each.subject)
-    found = fitted_again(searched_frames(far, subjects, response.central), known)
+    searched = searched_frames(far, subjects, response.central)
+    found = fitted_again(searched, known)
     values = np.array([each.reflectance.values for each in found])
     labeller = replace(labeller, reflectances=values)
     seen = replace(first, frame=far[0], mask=subjects[0], labeller=labeller)
-    return _entries(*_with_pigments(found, seen))
+    found, pigments = _with_pigments(found, seen)
+    return _entries(in_doubt(found, searched), pigments)
 
 
 def _told(found: list[Material], choice: MaterialSearch | int) -> list[Material]:
@@ -226,10 +235,6 @@ class LabelledFrame:
     def response(self) -> LightResponse:
         """Of the rig."""
         return self.labeller.response
-
-    def left_at_seams(self) -> float:
-        """Return the share of the steps of normals at seams that the materials do not explain."""
-        return self.labeller.left_at_seams(self.frame, self.mask, self.labels, self.state)
 
     def pigments(self) -> list[tuple[Vector3, Vector3] | None]:
         """Return for each material the line along which it changes and log ρ, or None."""
@@ -287,63 +292,7 @@ def _explaining(
     return found if kept or choice is not MaterialSearch.AUTO else []
 
 
-def _is_of_rig(material: Material, frame: LinearFrame, mask: Mask, response: LightResponse) -> bool:
-    """True where the material's hue turns normals no more than its fit may be wrong."""
-    turn_deg, bent_deg = _turn_deg(np.ones(3), material, frame, mask, response)
-    return turn_deg < max(_SAME_DEG, 2.0 * material.reflectance.error_deg, bent_deg)
-
-
-def _are_alike(
-    found: list[Material], one: Material, frame: LinearFrame, mask: Mask, response: LightResponse
-) -> bool:
-    """True where the materials may be one: gloss and uneven light alone make it look as different."""
-    values, turned = one.reflectance.values, 0.0
-    for each in found:
-        if abs(np.log(each.reflectance.values / values).mean()) > _UNEVEN:
-            return False
-        turn_deg, bent_deg = _turn_deg(each.reflectance.values, one, frame, mask, response)
-        turned += each.share * turn_deg
-    return bool(turned < bent_deg)
-
-
-def _turn_deg(
-    values: Vector3, material: Material, frame: LinearFrame, mask: Mask, response: LightResponse
-) -> tuple[float, float]:
-    """Return the angle between normals of reflectances (3,) and of a material, and its possible error.
-
-    Gloss and ambient light bend lengths over whole regions alike, which no covariance shows: a fit to lengths
-    that scatter by x may turn normals by about x radians.
-    """
-    inside = mask & ~frame.clipped
-    step = block_size(inside, _JUDGED)
-    rgb, inside = frame.rgb[::step, ::step], inside[::step, ::step]
-    lit = inside & (rgb.max(axis=2) > 0.1 * np.percentile(rgb[inside], 99))
-    inverse, shares = np.linalg.inv(response.lights), rgb[lit] @ response.contributions_from_rgb.T
-    own, others = ((shares / each) @ inverse.T for each in (material.reflectance.values, values))
-    lengths = np.linalg.norm(own, axis=1)
-    cosines = (others * own).sum(axis=1) / np.linalg.norm(others, axis=1) / lengths
-    turn_deg = float(np.degrees(np.median(np.arccos(np.clip(cosines, -1.0, 1.0)))))
-    return turn_deg, _BENT * float(np.degrees(_scatter_of_regions(lengths, lit)))
-
-
-def _scatter_of_regions(lengths: FloatArray, lit: Mask) -> float:
-    """Robust standard deviation of the log lengths (n,) of lit pixels, without texture, which is blurred."""
-    image = np.zeros(lit.shape, np.float32)
-    image[lit] = np.log(np.maximum(lengths / np.median(lengths), 1e-3)).clip(-1.0, 1.0)
-    reach = _REGION * float(np.sqrt(lit.sum()))
-    share = gaussian_filter(lit.astype(np.float32), reach)
-    smooth = gaussian_filter(image, reach)[lit] / np.maximum(share[lit], 1e-3)
-    return 1.4826 * float(np.median(np.abs(smooth - np.median(smooth))))
-
-
-def _warn_of_other_material(
-    response: LightResponse,
-    choice: MaterialSearch | int,
-    frame: LinearFrame,
-    mask: Mask,
-    albedo: float,
-    lamps_in_words: str,
-) -> None:
+def _warn_of_other_material(job: ReconstructionJob, frame: LinearFrame, mask: Mask, albedo: float) -> None:
     lit = mask & ~frame.clipped
     step = block_size(lit, _JUDGED)
     rgb, lit = frame.rgb[::step, ::step], lit[::step, ::step]
@@ -399,7 +348,7 @@ def _entry(material: Material, pigment: Vector3 | None) -> MaterialEntry:
     first, second, third = (_short(value) for value in fitted.values)
     return MaterialEntry(
         reflectance=(first, second, third),
-        error_deg=round(float(np.hypot(fitted.error_deg, fitted.lamps_deg)), 2),
+        error_deg=round(float(np.linalg.norm([fitted.error_deg, fitted.lamps_deg, material.doubt_deg])), 2),
         residual=round(fitted.residual, 4),
         share=round(material.share, 4),
         pigment=None if pigment is None else (_short(pigment[0]), _short(pigment[1]), _short(pigment[2])),

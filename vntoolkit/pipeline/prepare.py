@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vntoolkit.arrays import Mask
-from vntoolkit.diagnosis.finding import judge
+from vntoolkit.diagnosis.finding import Level, judge
 from vntoolkit.diagnosis.inspection import Examination, examine_capture
 from vntoolkit.errors import BadCapture, BadInput
 from vntoolkit.io.results.manifest import FindingEntry, Known, MaterialEntry
@@ -38,9 +38,8 @@ def prepare(request: Request, footage: Footage, numbers: Sequence[int]) -> Known
     """
     options, rig = request.effective_options, request.rig
     found: dict[str, object] = {"reference_frame": _reference_frame(request, footage, numbers)}
-    examined = None
-    if not seeks_materials(rig, options):
-        examined = _examined(request, rig, footage, numbers)
+    examined = _examined(request, rig, footage, numbers)
+    _judge(request, examined, fatal_alone=seeks_materials(rig, options))
     rig, lamps_in_words = _with_found_lamps(request, footage, numbers)
     if rig is not request.rig:
         colours, doubts_deg = rig.response.light_colours, rig.response.light_doubts_deg
@@ -55,9 +54,11 @@ def prepare(request: Request, footage: Footage, numbers: Sequence[int]) -> Known
         measured = measured_materials(rig, options, footage, numbers, lamps_in_words)
         materials, seen = measured.entries, measured.seen
         found |= {"relative_albedo": measured.relative_albedo}
-    if examined is None or seeks_materials(rig, options):
-        told = None if seen is None else seen.state.statistics
-        examined = _examined(request, rig, footage, numbers, materials, told)
+    if seeks_materials(rig, options):
+        if materials:
+            told = None if seen is None else seen.state.statistics
+            examined = _examined(request, rig, footage, numbers, materials, told)
+        _judge(request, examined)
     found |= {"blur_px": round(examined.blur_px, _DIGITS_OF_BLUR)}
     if rig.response.variation is None and not request.is_of_gel:
         found |= {"nearness": round(examined.nearness, _DIGITS_OF_NEARNESS)}
@@ -107,7 +108,7 @@ def _examined(
     materials: Sequence[MaterialEntry] = (),
     told: "FrameStatistics | None" = None,
 ) -> Examination:
-    """Log and return what the footage tells of mistakes; raise `FatalFinding` for one that ruins normals.
+    """Return what the footage tells of mistakes, with each of the materials taken for the rig's.
 
     told: of the first frame, as materials were measured on it.
     """
@@ -126,8 +127,16 @@ def _examined(
     except BadCapture as problem:  # a bad frame is reported when its turn comes
         logger.debug("plausibility not checked: %s", problem)
         return Examination(findings=[])
-    judge(examined.findings, request.allow)
     return examined
+
+
+def _judge(request: Request, examined: Examination, *, fatal_alone: bool = False) -> None:
+    """Log findings; raise `FatalFinding` for one that ruins normals.
+
+    fatal_alone: what is less is judged once materials are known. No material excuses what is fatal.
+    """
+    judged = [each for each in examined.findings if each.level is Level.FATAL or not fatal_alone]
+    judge(judged, request.allow)
 
 
 def in_one_material(
