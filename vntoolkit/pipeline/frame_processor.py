@@ -35,7 +35,7 @@ from vntoolkit.pipeline.painted_surface import PaintedSurface
 from vntoolkit.shadows.contributions import brighter_than
 from vntoolkit.shadows.detector import ShadowDetector, ShadowMethod
 from vntoolkit.shadows.lamp_directions import LampDirections, directions_from_shadows, unlit_by_lamp
-from vntoolkit.shadows.recovery import recover_surface
+from vntoolkit.shadows.recovery import recover_normals
 
 _SAMPLES = (slice(None, None, 4),) * 2  # these pixels tell how bright a subject is
 
@@ -116,7 +116,7 @@ class FrameProcessor:
         self._leveller = None
         if rig.response.variation is not None:
             self._leveller = leveller_of(rig.response, shape)
-        self._detector = ShadowDetector(self._central, options.shadows, self.camera)
+        self._detector = ShadowDetector(self._central, options.shadows)
         self._reflectances = np.array(reflectances, dtype=np.float64).reshape(-1, 3)
         self._painted = painted
         self._labeller: MaterialLabeller | None = None
@@ -312,18 +312,13 @@ class FrameProcessor:
     def _normals_under_shadow(
         self, linear: LinearFrame, frame: LinearFrame, mask: Mask
     ) -> tuple[NormalMap, VisibilityLabels, LampDirections | None]:
-        """Find shadows, then normals; lamps if by a surface. frame: `linear` as the central M forms it."""
+        """Find shadows, then normals, and lamps where there is a shadow. frame: as the central M forms it."""
         response, inversion = self._central, self._options.inversion
-        labels, mask, seen = self._shadows(linear, frame, mask)
-        surface = self._detector.surface
-        if surface is None and not np.any(labels != ALL_LIT):
+        labels, mask, _ = self._shadows(linear, frame, mask)
+        if not np.any(labels != ALL_LIT):
             return normals_from_frame(frame, response, mask, options=inversion), labels, None
         lamps = directions_from_shadows(frame, labels, self._rig.response, mask)
-        is_same = (response.light_colours is None) is (lamps.separated.light_colours is None)
-        if surface is not None and not (is_same and seen is frame):
-            surface = replace(surface, image=None)
-        found = recover_surface(frame, labels, lamps.separated, mask, self.camera, start=surface)
-        return found.normal_map, labels, lamps
+        return recover_normals(frame, labels, lamps.separated, mask), labels, lamps
 
     def by_strength(self, linear: LinearFrame, box: Box | None = None) -> LinearFrame:
         """Return a linear frame with every lamp as strong as at the image's centre.
