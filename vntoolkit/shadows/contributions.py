@@ -18,7 +18,6 @@ _SMALLEST_REST = 0.05  # 1 − |M⁻¹a|²: an ambient light as strong as the la
 _MARGIN_PX = 4  # room for filters around the mask
 Window = tuple[slice, slice]
 Numbers = tuple[Any, ...]  # float32
-TOWARDS_VIEWER = np.array([0.0, 0.0, -1.0], dtype=np.float32)  # single, so that images stay so
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
