@@ -25,15 +25,11 @@ from benchmarks.head_truth import HeadTruth
 from vntoolkit.calibration.fit import angles_deg
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.rigs import read_rig
+from vntoolkit.options.head import Features, FollowOptions, HeadOptions
+from vntoolkit.options.simulation import SceneOptions
 from vntoolkit.pipeline.calibrate import CalibrationJob
-from vntoolkit.pipeline.calibrate_head import (
-    Features,
-    FollowOptions,
-    HeadOptions,
-    calibrate_head,
-)
+from vntoolkit.pipeline.calibrate_head import calibrate_head
 from vntoolkit.pipeline.simulate import SimulationFolder, SimulationJob, simulate
-from vntoolkit.simulation.scene import SceneOptions
 
 
 def measure(folder: Path, source: str, frames: str, features: Features, camera: str) -> dict[str, Any]:

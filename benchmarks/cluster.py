@@ -25,11 +25,11 @@ from pathlib import Path
 from benchmarks.pipeline import footage, options_of, rig_of
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.footage.video import write_video
+from vntoolkit.options.normals import ShadowMethod
 from vntoolkit.pipeline.block_work import ReconstructionJob
 from vntoolkit.pipeline.cluster import connected
 from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.reconstruct import BLOCK_FRAMES, reconstruct
-from vntoolkit.shadows.detector import ShadowMethod
 
 
 def frames_per_second(job: ReconstructionJob, workers: int, frames: int) -> float:

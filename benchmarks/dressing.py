@@ -21,9 +21,8 @@ from scipy.spatial.transform import Rotation
 
 from vntoolkit.geometry.mesh import MeshSequence
 from vntoolkit.geometry.motion import Motion, pose_of_frame
-from vntoolkit.pipeline.dress import DressedFigure, DressOptions, dress, read_motion, read_tracked_cloth
-from vntoolkit.skinning.clock import ClockOptions, Loop
-from vntoolkit.skinning.gait import walking_motion
+from vntoolkit.options.dressing import ClockOptions, DressOptions, Loop
+from vntoolkit.pipeline.dress import DressedFigure, dress, read_motion, read_tracked_cloth
 
 FRAMES = 100
 LEVELS = 12  # heights between armpit and hem at which the width is taken
@@ -59,7 +58,7 @@ def measured(dressed: DressedFigure, every: int) -> tuple[str, np.ndarray]:
 
 def overhead() -> Motion:
     """Return a figure that lifts both arms from the pose of rest until they point up."""
-    walk, frames = walking_motion(), 20
+    walk, frames = read_motion("data/walk.bvh"), 20
     rotations = np.tile([0.0, 0.0, 0.0, 1.0], (frames, len(walk.skeleton.names), 1))
     for name, sign in (("LeftArm", -1.0), ("RightArm", 1.0)):
         turns = Rotation.from_euler("z", sign * np.linspace(0, [135], frames), degrees=True)

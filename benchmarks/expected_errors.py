@@ -23,15 +23,15 @@ from vntoolkit.diagnosis.inspection import blur_of_colours
 from vntoolkit.diagnosis.lamp_nearness import fit_nearness
 from vntoolkit.diagnosis.sharpness import fit_sharpness
 from vntoolkit.io.footage.decoding import EncodedFrame
+from vntoolkit.options.reconstruction import Product, ReconstructOptions
+from vntoolkit.options.simulation import Nuisances, SceneOptions
 from vntoolkit.photometry.response import with_near_lamps
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import Transfer
 from vntoolkit.pipeline.frame_processor import FrameProcessor
-from vntoolkit.pipeline.options import Product, ReconstructOptions
 from vntoolkit.simulation.image_formation import true_response
-from vntoolkit.simulation.nuisances import Nuisances
 from vntoolkit.simulation.render import render_frame
-from vntoolkit.simulation.scene import SceneOptions, build_scene
+from vntoolkit.simulation.scene import build_scene
 
 SCENES = ("sweater", "jacket", "spandex", "face_makeup")
 FRAMES, SIZE = (0, 25), (480, 360)

@@ -22,7 +22,7 @@ from vntoolkit.evaluation.depth_error import disc_with_hole, peaks, tear
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.integration.integrate import DepthIntegrator
-from vntoolkit.integration.options import IntegrationOptions, Integrator
+from vntoolkit.options.depth import IntegrationOptions, Integrator
 from vntoolkit.pipeline.evaluate import depth_error_percent, read_object, real_object_errors
 
 # Mean absolute error in mm: Cao et al.'s code, and the best least-squares program, on the same maps.

@@ -29,8 +29,8 @@ from vntoolkit.io.footage.video import write_video
 from vntoolkit.live.capture import FileSource, LatencyMeter, LiveRun, TimedFrame
 from vntoolkit.live.frames import LiveProcessor, LiveResult
 from vntoolkit.live.page import LiveViewer
-from vntoolkit.report.local_server import ViewerOptions
-from vntoolkit.shadows.detector import ShadowMethod
+from vntoolkit.options.normals import ShadowMethod
+from vntoolkit.options.pages import ViewerOptions
 
 _LEAD_IN_S = 3.0  # a page that draws its first surface takes both cores for a moment, and is not what counts
 

@@ -32,13 +32,13 @@ from vntoolkit.diagnosis.transfer_match import check_transfer_of_samples
 from vntoolkit.io.footage.captures import CaptureOptions, open_capture
 from vntoolkit.io.maps_and_meshes.label_images import read_mask
 from vntoolkit.io.rigs import read_rig
+from vntoolkit.options.simulation import Nuisances, SceneOptions
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import Transfer, encoded_from_linear, linear_from_encoded
 from vntoolkit.simulation.image_formation import true_response
-from vntoolkit.simulation.nuisances import Nuisances
 from vntoolkit.simulation.render import render_frame
-from vntoolkit.simulation.scene import SCENES, SceneOptions, build_scene
+from vntoolkit.simulation.scene import SCENES, build_scene
 
 LINEAR, SRGB = Transfer(), Transfer.from_text("srgb")
 FRAMES, LAST = 4, 30

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from vntoolkit.arrays import FloatArray
-from vntoolkit.materials.labelling import MaterialLabeller
+from vntoolkit.materials.labelling import LabelState, MaterialLabeller
 from vntoolkit.materials.search import find_materials, searched_frames
 from vntoolkit.normals.inversion import normals_from_frame
 from vntoolkit.photometry.frame import LinearFrame
@@ -48,12 +48,14 @@ def painted_error(folder: Path, count: int, bits: int, seed: int) -> tuple[float
     frame = LinearFrame(((stored.round() * level) * mask[..., None]).astype(np.float32))
     lit = mask & (shares > 0.0).all(axis=-1)
     found = find_materials(searched_frames([frame], [mask], RESPONSE))
-    labeller = MaterialLabeller(RESPONSE, np.array([each.reflectance.values for each in found]))
+    values = np.array([each.reflectance.values for each in found])
+    labeller = MaterialLabeller(response=RESPONSE, reflectances=values)
+    labels, state = labeller.labels(frame, mask, LabelState())
     split = RESPONSE.contributions_from_rgb
     known = (frame.rgb @ split.T / rho) @ np.linalg.inv(split).T
     errors = []
     for seen in (
-        labeller.relit(frame, labeller.labels(frame, mask)),
+        labeller.relit(frame, labels, state)[0],
         LinearFrame(rgb=known.astype(np.float32)),
     ):
         result = normals_from_frame(seen, RESPONSE, mask)

@@ -31,14 +31,14 @@ from vntoolkit.io.footage.captures import open_capture
 from vntoolkit.io.footage.decoding import EncodedFrame
 from vntoolkit.io.footage.video import write_video
 from vntoolkit.io.maps_and_meshes.label_images import write_mask
+from vntoolkit.options.normals import ShadowMethod
+from vntoolkit.options.reconstruction import MaterialSearch, Product, ReconstructOptions
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline.block_work import ReconstructionJob
 from vntoolkit.pipeline.frame_processor import FrameProcessor
-from vntoolkit.pipeline.options import MaterialSearch, Product, ReconstructOptions
 from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.reconstruct import reconstruct
-from vntoolkit.shadows.detector import ShadowMethod
 
 _LIGHTS = np.array([[-0.35, 0.1, -0.93], [0.25, 0.3, -0.92], [0.05, -0.4, -0.91]])
 _REPEATS = 3

@@ -23,19 +23,20 @@ from vntoolkit.evaluation.angular_error import angles_between_deg
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.integration.integrate import DepthIntegrator
-from vntoolkit.integration.options import IntegrationOptions, Integrator
 from vntoolkit.meshing.surface import mesh_from_depth
 from vntoolkit.normals.expected_error import with_expected_error
 from vntoolkit.normals.inversion import normals_from_frame
+from vntoolkit.options.depth import IntegrationOptions, Integrator
+from vntoolkit.options.normals import ShadowMethod
+from vntoolkit.options.simulation import Nuisances, SceneOptions
 from vntoolkit.photometry.frame import LinearFrame, count_lit, lit_from_labels
 from vntoolkit.photometry.levelling import Leveller
 from vntoolkit.pipeline.referenced_captures import CAPTURES, ReferencedCapture, read_capture
-from vntoolkit.shadows.detector import ShadowDetector, ShadowMethod
+from vntoolkit.shadows.detector import ShadowDetector
 from vntoolkit.shadows.recovery import recover_normals
 from vntoolkit.simulation.image_formation import true_response, true_varying_response
-from vntoolkit.simulation.nuisances import Nuisances
 from vntoolkit.simulation.render import FrameTruth, SimulatedFrame, render_frame
-from vntoolkit.simulation.scene import SceneOptions, build_scene
+from vntoolkit.simulation.scene import build_scene
 
 
 def simulated(name: str, near: bool) -> tuple[ReferencedCapture, SimulatedFrame, Camera]:

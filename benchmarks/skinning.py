@@ -20,10 +20,8 @@ import numpy as np
 
 from vntoolkit.geometry.mesh import Mesh, MeshSequence
 from vntoolkit.io.maps_and_meshes.usd import write_usd_meshes
-from vntoolkit.pipeline.dress import DressOptions, dress, write_dressed_figure
-from vntoolkit.skinning.blending import Blend
-from vntoolkit.skinning.clock import ClockOptions, Loop
-from vntoolkit.skinning.gait import GaitOptions, walking_motion
+from vntoolkit.options.dressing import Blend, ClockOptions, DressOptions, Loop
+from vntoolkit.pipeline.dress import dress, read_motion, write_dressed_figure
 
 VERTICES_ACROSS, VERTICES_DOWN = 460, 400  # 184,000
 CLOTH_FRAMES = 30
@@ -54,8 +52,9 @@ def dress_and_write(frames: int, blend: Blend, folder: Path) -> str:
     """Dress and write so many frames in this process; return the line to print."""
     mesh = sheet(VERTICES_ACROSS, VERTICES_DOWN)
     cloth = MeshSequence(template=mesh, vertices=np.load(folder / "v.npy", mmap_mode="r"))
-    motion = walking_motion(GaitOptions(strides=5))
-    clock = ClockOptions(stop=(frames - 1) / 60, loop=Loop.PING_PONG)
+    motion = read_motion("data/walk.bvh")
+    speed = 0.9  # the walk lasts 4.8 s, 300 frames 5 s
+    clock = ClockOptions(stop=speed * (frames - 1) / 60, speed=speed, loop=Loop.PING_PONG)
     anonymous_peak_mb(reset=True)
     start = time.perf_counter()
     dressed = dress(cloth, motion, DressOptions(clock=clock, blend=blend))

@@ -17,7 +17,7 @@ import numpy as np
 
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, NormalMap
-from vntoolkit.tracking.options import Tracker, TrackingOptions
+from vntoolkit.options.tracking import Tracker, TrackingOptions
 from vntoolkit.tracking.tracker import SurfaceTracker
 
 

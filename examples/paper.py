@@ -9,17 +9,18 @@ free: spectra and places of the lamps, true normals (equations 1 and 4), mean de
 import numpy as np
 
 from vntoolkit import DepthIntegrator, DepthMap, LightResponse, fit_response, normals_from_frame
-from vntoolkit.calibration.fit import ResponseFitOptions, ResponseModel
 from vntoolkit.geometry.mesh import graph_laplacian
 from vntoolkit.geometry.motion import pose_of_frame
+from vntoolkit.options.calibration import ResponseFitOptions, ResponseModel
+from vntoolkit.options.dressing import Falloff, WeightOptions
+from vntoolkit.options.simulation import Nuisances, SceneOptions
 from vntoolkit.photometry.response import rgb_from_normals
+from vntoolkit.pipeline.dress import read_motion
 from vntoolkit.simulation.image_formation import light_colour, response_matrix
-from vntoolkit.simulation.nuisances import Nuisances
 from vntoolkit.simulation.render import render_frame
-from vntoolkit.simulation.scene import SceneOptions, build_scene
+from vntoolkit.simulation.scene import build_scene
 from vntoolkit.skinning.blending import skinned_vertices
-from vntoolkit.skinning.gait import walking_motion
-from vntoolkit.skinning.weights import Falloff, WeightOptions, weights_from_distances
+from vntoolkit.skinning.weights import weights_from_distances
 from vntoolkit.tracking.flow import advected_positions, flow_between, targets_on_surface
 from vntoolkit.tracking.regularisers import LaplacianRegulariser
 from vntoolkit.tracking.template import template_from_maps
@@ -69,7 +70,7 @@ laplacian = graph_laplacian(template.edges, len(start))
 solver = LaplacianRegulariser(laplacian, template.edges, template.positions_px, beta=1e-3)
 registered = start + solver.solve(targets - start)
 show("7  [L; βI] X = [Q; βY]: error of the vertex, mean", 1000 * length(registered - goal), "mm")
-motion = walking_motion().in_metres(1.73)
+motion = read_motion("data/walk.bvh").in_metres(1.73)
 rest, posed = pose_of_frame(motion, 0), pose_of_frame(motion, 18)
 attached = start - start.mean(axis=0) + rest[:, :3, 3].mean(axis=0)
 inverse = WeightOptions(falloff=Falloff.INVERSE)

@@ -14,7 +14,6 @@ from pathlib import Path
 
 import numpy as np
 
-from vntoolkit.calibration.board import BoardOptions
 from vntoolkit.evaluation.angular_error import compare_normals
 from vntoolkit.geometry.board_layout import BoardLayout
 from vntoolkit.geometry.maps import NormalMap
@@ -22,12 +21,14 @@ from vntoolkit.integration.integrate import DepthIntegrator
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.rigs import write_rig
 from vntoolkit.normals.inversion import normals_from_frame
+from vntoolkit.options.calibration import BoardOptions
+from vntoolkit.options.simulation import SceneOptions
 from vntoolkit.pipeline.calibrate import CalibrationJob, calibrate_board
 from vntoolkit.pipeline.simulate import SimulationFolder, SimulationJob, simulate
 from vntoolkit.report.pictures import ErrorScale, row_of_frame, write_tiles
 from vntoolkit.report.recipes_page import number, write_numbers
 from vntoolkit.simulation.render import render_frame
-from vntoolkit.simulation.scene import SceneOptions, build_scene
+from vntoolkit.simulation.scene import build_scene
 
 SCALE = ErrorScale(most=40.0)
 FACE_FRAMES = (0, 110, 290, 520)  # at rest, smiling, grimacing, speaking

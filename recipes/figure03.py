@@ -21,6 +21,7 @@ from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.maps_and_meshes.meshes import write_mesh
 from vntoolkit.io.rigs import write_rig
 from vntoolkit.normals.inversion import normals_from_frame
+from vntoolkit.options.simulation import Nuisances, SceneOptions
 from vntoolkit.pipeline.calibrate import CalibrationJob
 from vntoolkit.pipeline.calibrate_head import calibrate_head
 from vntoolkit.pipeline.simulate import SimulationFolder, SimulationJob, simulate
@@ -28,9 +29,8 @@ from vntoolkit.report.head import write_head_figure
 from vntoolkit.report.pictures import ErrorScale, row_of_frame, write_tiles
 from vntoolkit.report.recipes_page import number, write_numbers
 from vntoolkit.simulation.image_formation import true_response
-from vntoolkit.simulation.nuisances import Nuisances
 from vntoolkit.simulation.render import render_frame
-from vntoolkit.simulation.scene import SceneOptions, build_scene
+from vntoolkit.simulation.scene import build_scene
 
 SCALE = ErrorScale(most=40.0)
 FACE_FRAMES = (0, 110, 290, 520)  # at rest, smiling, grimacing, speaking

@@ -15,15 +15,16 @@ import numpy as np
 
 from vntoolkit.arrays import Mask, VisibilityLabels
 from vntoolkit.io.maps_and_meshes.label_images import label_colours
+from vntoolkit.options.normals import ShadowMethod
+from vntoolkit.options.simulation import Nuisances, SceneOptions
 from vntoolkit.photometry.frame import LinearFrame, lit_from_labels
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.report import pictures
 from vntoolkit.report.recipes_page import number, write_numbers
-from vntoolkit.shadows.detector import ShadowDetector, ShadowMethod
+from vntoolkit.shadows.detector import ShadowDetector
 from vntoolkit.simulation.image_formation import true_response
-from vntoolkit.simulation.nuisances import Nuisances
 from vntoolkit.simulation.render import render_frame
-from vntoolkit.simulation.scene import SceneOptions, build_scene
+from vntoolkit.simulation.scene import build_scene
 
 GROUND = 205  # beside the subject: white means lit by all
 LIGHT_TILES = 4  # film and three lights

@@ -21,6 +21,7 @@ from vntoolkit.geometry.maps import DepthMap, NormalMap
 from vntoolkit.integration.integrate import DepthIntegrator
 from vntoolkit.meshing.surface import mesh_from_depth
 from vntoolkit.normals.inversion import normals_from_frame
+from vntoolkit.options.simulation import Nuisances, SceneOptions
 from vntoolkit.photometry.frame import count_lit
 from vntoolkit.report import pictures
 from vntoolkit.report.mesh_views import View, picture_of
@@ -28,9 +29,8 @@ from vntoolkit.report.recipes_page import number, write_numbers
 from vntoolkit.shadows.detector import ShadowDetector
 from vntoolkit.shadows.recovery import recover_normals
 from vntoolkit.simulation.image_formation import true_response
-from vntoolkit.simulation.nuisances import Nuisances
 from vntoolkit.simulation.render import render_frame
-from vntoolkit.simulation.scene import SceneOptions, build_scene
+from vntoolkit.simulation.scene import build_scene
 
 SCALE = pictures.ErrorScale(most=40.0)
 TITLES = {"A": "shadows taken for shading", "B": "shadows found and recovered"}

@@ -16,26 +16,20 @@ from pathlib import Path
 import numpy as np
 
 from vntoolkit.evaluation.angular_error import compare_normals
-from vntoolkit.evaluation.mesh_comparison import (
-    Alignment,
-    AlignmentOptions,
-    align_mesh,
-    mesh_distance,
-    vertex_distances,
-)
+from vntoolkit.evaluation.mesh_comparison import align_mesh, mesh_distance, vertex_distances
 from vntoolkit.integration.integrate import DepthIntegrator
 from vntoolkit.meshing.surface import mesh_from_depth
 from vntoolkit.normals.inversion import normals_from_frame
 from vntoolkit.normals.photometric_stereo import normals_from_lights
+from vntoolkit.options.evaluation import Alignment, AlignmentOptions
+from vntoolkit.options.simulation import Lighting, Nuisances, SceneOptions
 from vntoolkit.report.figures import write_cumulative_errors
 from vntoolkit.report.mesh_views import View, picture_of
 from vntoolkit.report.pictures import write_tiles
 from vntoolkit.report.recipes_page import number, write_numbers
 from vntoolkit.simulation.image_formation import exposure_of_scene, light_colours_of, true_response
-from vntoolkit.simulation.lights import Lighting
-from vntoolkit.simulation.nuisances import Nuisances
 from vntoolkit.simulation.render import render_frame
-from vntoolkit.simulation.scene import SceneOptions, build_scene
+from vntoolkit.simulation.scene import build_scene
 
 LAMPS = (Lighting.WHITE_1, Lighting.WHITE_2, Lighting.WHITE_3)
 
@@ -51,7 +45,7 @@ def white_photograph(options: SceneOptions) -> tuple[np.ndarray, np.ndarray]:
 
 def main(out: Path) -> None:
     """Write figure06.png, figure06_curve.svg and numbers.json into the folder `out`."""
-    scene, free = build_scene("jacket", SceneOptions()), AlignmentOptions(free=Alignment.SIMILARITY)
+    scene, free = build_scene("jacket", SceneOptions()), AlignmentOptions(align=Alignment.SIMILARITY)
     coloured = render_frame(scene, 0)
     truth = coloured.truth.normals
     photographs = [white_photograph(SceneOptions(lighting=lamp)) for lamp in LAMPS]

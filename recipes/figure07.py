@@ -10,17 +10,13 @@ figure07.png: mean and standard deviation of the angle to the fitted cylinder, o
 """
 
 import argparse
+import dataclasses
 from pathlib import Path
 
 import numpy as np
 
-from vntoolkit.calibration.board import BoardOptions
-from vntoolkit.cli.calibrate import FootageFlags, board
-from vntoolkit.cli.evaluate import cylinder
-from vntoolkit.cli.reconstruct import RunFlags, reconstruct
-from vntoolkit.cli.simulate import simulate
+import vntoolkit as vt
 from vntoolkit.pipeline.evaluate import CylinderEvaluation
-from vntoolkit.pipeline.options import Product, ReconstructOptions
 from vntoolkit.report.recipes_page import number, write_numbers
 from vntoolkit.simulation.rigid.board_and_cylinder import SWEPT_LAYOUT
 
@@ -29,18 +25,16 @@ def measured(out: Path, name: str, degree: int, frames: str) -> CylinderEvaluati
     """Calibrate with polynomials of `degree`, reconstruct the cylinder and measure its normals."""
     rig, result, truth = out / f"{name}.json", out / name, out / "cylinder"
     lens = truth / "truth" / "rig.json"
-    film, options = str(out / "board" / "capture.mkv"), BoardOptions(degree=degree)
-    board(film, out=rig, footage=FootageFlags(camera=lens), layout=SWEPT_LAYOUT, options=options)
-    normals = ReconstructOptions(to=Product.NORMALS)
-    running = RunFlags(frames=frames)
-    reconstruct(str(truth / "capture.mkv"), rig=rig, out=result, running=running, options=normals)
-    return cylinder(result, truth=truth, out=out / f"{name}_error")
+    film, layout = out / "board" / "capture.mkv", dataclasses.asdict(SWEPT_LAYOUT)
+    vt.calibrate_board(film, out=rig, camera=lens, degree=degree, **layout)
+    vt.reconstruct(truth / "capture.mkv", rig=rig, out=result, frames=frames, to="normals")
+    return vt.evaluate_cylinder(result, truth=truth, out=out / f"{name}_error")
 
 
 def main(out: Path, quick: bool = False) -> None:
     """Write figure07.png and numbers.json into the folder `out`; go on where an earlier run stopped."""
-    simulate("board_sweep", out=out / "board", frames="::6" if quick else "::3")
-    simulate("cylinder", out=out / "cylinder", frames="::30" if quick else "::")
+    vt.simulate("board_sweep", out=out / "board", frames="::6" if quick else "::3")
+    vt.simulate("cylinder", out=out / "cylinder", frames="::30" if quick else "::")
     found = measured(out, "varying", 1, "::")
     single = measured(out, "single", 0, "::" if quick else "::20")
     truths = [error.truth for error in found.frames if error.truth is not None]

@@ -11,19 +11,14 @@ errors.svg: median and 95th percentile of the error of the visible vertices, in 
 import argparse
 from pathlib import Path
 
-from vntoolkit.cli.calibrate import board
-from vntoolkit.cli.reconstruct import reconstruct
-from vntoolkit.cli.simulate import simulate
+import vntoolkit as vt
 from vntoolkit.evaluation.track_error import TrackError
+from vntoolkit.options.tracking import Tracker, TrackingOptions
 from vntoolkit.pipeline.checkerboard import write_checkerboard
 from vntoolkit.pipeline.evaluate import evaluate_tracks, write_track_errors
-from vntoolkit.pipeline.options import Product, ReconstructOptions
 from vntoolkit.pipeline.track import TrackJob, track
 from vntoolkit.report.figures import write_error_plot, write_moments
 from vntoolkit.report.recipes_page import number, write_numbers
-from vntoolkit.shadows.detector import ShadowMethod
-from vntoolkit.simulation.scene import SceneOptions
-from vntoolkit.tracking.options import Tracker, TrackingOptions
 
 COMPARED = ("no-registration", "flow", "translation", "laplacian", "arap", "default")
 FIELD_WIDTH_M = {"face": 0.355, "sweater": 1.42}  # the scenes' own; the board is filmed at the same zoom
@@ -36,12 +31,12 @@ def reconstruction(scene: str, frames: int, out: Path) -> Path:
     """
     rig = out / "rig.json"
     if not rig.exists():
-        sampled = SceneOptions(field_width_m=FIELD_WIDTH_M[scene], sample=scene)
-        simulate("board", out=out / "board", frames="::5", options=sampled)
-        board(str(out / "board/capture.mkv"), out=rig)
-    simulate(scene, out=out / "capture", frames=f"0:{frames}")
-    to_depth = ReconstructOptions(to=Product.DEPTH, shadows=ShadowMethod.NONE)
-    reconstruct(str(out / "capture/capture.mkv"), rig=rig, out=out / "reconstruction", options=to_depth)
+        width = FIELD_WIDTH_M[scene]
+        vt.simulate("board", out=out / "board", frames="::5", field_width_m=width, sample=scene)
+        vt.calibrate_board(out / "board/capture.mkv", out=rig)
+    vt.simulate(scene, out=out / "capture", frames=f"0:{frames}")
+    film, result = out / "capture/capture.mkv", out / "reconstruction"
+    vt.reconstruct(film, rig=rig, out=result, to="depth", shadows="none")
     return out / "reconstruction"
 
 

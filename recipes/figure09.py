@@ -14,11 +14,10 @@ from pathlib import Path
 
 import numpy as np
 
-from vntoolkit.cli.reconstruct import reconstruct
-from vntoolkit.cli.simulate import simulate
+import vntoolkit as vt
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.io.footage.frame_range import sampled
-from vntoolkit.pipeline.opened_result import OpenedResult, open_result
+from vntoolkit.pipeline.opened_result import OpenedResult
 from vntoolkit.pipeline.truth_comparison import compare_with_truth
 from vntoolkit.report.mesh_views import View, picture_of
 from vntoolkit.report.pictures import Picture, cropped, picture_of_normals, write_tiles
@@ -48,9 +47,8 @@ def moment(result: OpenedResult, frame: int) -> dict[str, Picture]:
 def main(out: Path, frames: int = 150, size: str = "640x480") -> None:
     """Write `figure09.png` and `numbers.json` into the folder `out`; go on where an earlier run stopped."""
     capture, made = out / "capture", out / "reconstruction"
-    simulate("sweater", out=capture, frames=f"0:{frames}:{STEP}", size=size)
-    reconstruct(str(capture / "capture.mkv"), rig=capture / "truth" / "rig.json", out=made)
-    result = open_result(made)
+    vt.simulate("sweater", out=capture, frames=f"0:{frames}:{STEP}", size=size)
+    result = vt.reconstruct(capture / "capture.mkv", rig=capture / "truth" / "rig.json", out=made)
     shown = sampled(result.numbers, 5)
     rows, names = [moment(result, number) for number in shown], [f"frame {number}" for number in shown]
     write_tiles(out / "figure09.png", rows, names, height_px=240)

@@ -17,18 +17,12 @@ import numpy as np
 
 from vntoolkit.geometry.mesh import Mesh, MeshSequence
 from vntoolkit.io.results.sequences import MeshSequenceWriter, read_mesh_sequence
-from vntoolkit.pipeline.dress import (
-    DressOptions,
-    dress,
-    read_motion,
-    read_tracked_cloth,
-    write_dressed_figure,
-)
+from vntoolkit.options.dressing import ClockOptions, DressOptions, Falloff, Loop, WeightOptions
+from vntoolkit.options.simulation import SceneOptions
+from vntoolkit.pipeline.dress import dress, read_motion, read_tracked_cloth, write_dressed_figure
 from vntoolkit.report.mesh_views import PreviewOptions, write_preview
 from vntoolkit.report.recipes_page import number, write_numbers
-from vntoolkit.simulation.scene import SceneOptions, build_scene
-from vntoolkit.skinning.clock import ClockOptions, Loop
-from vntoolkit.skinning.weights import Falloff, WeightOptions
+from vntoolkit.simulation.scene import build_scene
 
 WALK = Path(__file__).parents[1] / "data" / "walk.bvh"
 CAPTURED_FRAMES = 60

@@ -16,15 +16,15 @@ from pathlib import Path
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.integration.integrate import DepthIntegrator
 from vntoolkit.meshing.surface import mesh_from_depth
+from vntoolkit.options.simulation import Nuisances, SceneOptions
 from vntoolkit.report.mesh_views import View, picture_of
 from vntoolkit.report.page import PageSection, figure_from_pixels, write_page
 from vntoolkit.report.pictures import ErrorScale, Picture, row_of_frame, tiled, write_tiles
 from vntoolkit.shadows.detector import ShadowDetector
 from vntoolkit.shadows.recovery import recover_normals
 from vntoolkit.simulation.image_formation import true_response
-from vntoolkit.simulation.nuisances import Nuisances
 from vntoolkit.simulation.render import render_frame
-from vntoolkit.simulation.scene import Scene, SceneOptions, build_scene
+from vntoolkit.simulation.scene import Scene, build_scene
 
 SCALE = ErrorScale(most=40.0)
 SHOWN = {  # scene -> frame, and what it is

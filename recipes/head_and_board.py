@@ -14,20 +14,20 @@ from pathlib import Path
 import numpy as np
 
 from vntoolkit.arrays import Matrix3
-from vntoolkit.calibration.board import BoardOptions
 from vntoolkit.evaluation.angular_error import angles_between_deg, compare_normals
 from vntoolkit.geometry.board_layout import BoardLayout
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.normals.inversion import normals_from_frame
+from vntoolkit.options.calibration import BoardOptions
+from vntoolkit.options.simulation import Nuisances, SceneOptions
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.pipeline.calibrate import CalibrationJob, calibrate_board
 from vntoolkit.pipeline.calibrate_head import calibrate_head
 from vntoolkit.pipeline.simulate import SimulationFolder, SimulationJob, simulate
 from vntoolkit.report.recipes_page import number, write_numbers
 from vntoolkit.simulation.image_formation import true_response
-from vntoolkit.simulation.nuisances import Nuisances
 from vntoolkit.simulation.render import render_frame
-from vntoolkit.simulation.scene import SceneOptions, build_scene
+from vntoolkit.simulation.scene import build_scene
 
 FACE_FRAMES = (0, 290)
 

@@ -21,14 +21,14 @@ from vntoolkit.io.atomic import write_bytes
 from vntoolkit.io.footage.images import encoded_image
 from vntoolkit.meshing.surface import mesh_from_depth
 from vntoolkit.normals.inversion import normals_from_frame
+from vntoolkit.options.simulation import Nuisances, SceneOptions
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.transfer import Transfer, TransferCurve, encoded_from_linear
 from vntoolkit.report.mesh_views import View, picture_of
 from vntoolkit.report.pictures import ErrorScale, Picture, row_of_frame, tiled
 from vntoolkit.simulation.image_formation import true_response
-from vntoolkit.simulation.nuisances import Nuisances
 from vntoolkit.simulation.render import SimulatedFrame, render_frame
-from vntoolkit.simulation.scene import Scene, SceneOptions, build_scene
+from vntoolkit.simulation.scene import Scene, build_scene
 
 FRAME = 290
 SCALE = ErrorScale(most=40.0)

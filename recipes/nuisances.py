@@ -17,12 +17,12 @@ from pathlib import Path
 from vntoolkit.evaluation.angular_error import AngularError, compare_normals
 from vntoolkit.io.atomic import write_text
 from vntoolkit.normals.inversion import normals_from_frame
+from vntoolkit.options.simulation import Nuisances, RenderOptions, SceneOptions, nuisance_names
 from vntoolkit.report.figures import write_bars
 from vntoolkit.report.recipes_page import number, write_numbers
 from vntoolkit.simulation.image_formation import true_varying_response
-from vntoolkit.simulation.nuisances import Nuisances, nuisance_names
-from vntoolkit.simulation.render import RenderOptions, render_frame
-from vntoolkit.simulation.scene import Scene, SceneOptions, build_scene
+from vntoolkit.simulation.render import render_frame
+from vntoolkit.simulation.scene import Scene, build_scene
 
 DEGREES = {"one M": 0, "M follows the lights": 2}
 

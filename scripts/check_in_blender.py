@@ -19,10 +19,10 @@ from pathlib import Path
 import numpy as np
 
 from vntoolkit.geometry.motion import pose_of_frame
+from vntoolkit.options.dressing import ClockOptions, DressOptions
 from vntoolkit.pipeline.dress import (
     CapturedLook,
     DressedFigure,
-    DressOptions,
     captured_look,
     dress,
     read_motion,
@@ -30,7 +30,6 @@ from vntoolkit.pipeline.dress import (
     write_dressed_figure,
 )
 from vntoolkit.skinning.blending import skinned_vertices
-from vntoolkit.skinning.clock import ClockOptions
 
 BLENDER_FROM_CAMERA = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # z up, away from the viewer is +y
 CLIP_S = 0.5

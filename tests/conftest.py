@@ -3,11 +3,13 @@
 import os
 from pathlib import Path
 
-import vntoolkit  # noqa: F401 - sets the threads of libraries, so before them
+from vntoolkit.threads import set_thread_policy
+
+set_thread_policy()  # before numpy is loaded: as the workers do, which must round alike
 
 # isort: split
-import numpy as np
-import pytest
+import numpy as np  # noqa: E402
+import pytest  # noqa: E402
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

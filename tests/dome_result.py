@@ -8,16 +8,16 @@ import pytest
 
 from tests.pipeline.conftest import write_dome_capture
 from vntoolkit.io.footage.images import write_png
+from vntoolkit.options.normals import ShadowMethod
+from vntoolkit.options.reconstruction import OnError, ReconstructOptions
+from vntoolkit.options.tracking import TrackingOptions
 from vntoolkit.photometry.rig import FitQuality
 from vntoolkit.pipeline.block_work import ReconstructionJob
 from vntoolkit.pipeline.checkerboard import write_checkerboard
-from vntoolkit.pipeline.options import OnError, ReconstructOptions
 from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.reconstruct import reconstruct
 from vntoolkit.pipeline.texture import write_texture
 from vntoolkit.pipeline.track import TrackJob, track
-from vntoolkit.shadows.detector import ShadowMethod
-from vntoolkit.tracking.options import TrackingOptions
 
 HOSTILE = '<b>dome & "co"'
 SKIPPED = 3

@@ -61,10 +61,10 @@ def test_a_wrong_call_is_found(tmp_path: Path, cache: Path) -> None:
     wrong = tmp_path / "wrong.py"
     wrong.write_text(
         "from vntoolkit.photometry.rig import Rig\n"
-        "from vntoolkit.cli.calibrate import board\n"
+        "from vntoolkit.cli.calibrate import calibrate_board\n"
         "from vntoolkit.cli.nowhere import there\n"
         "from vntoolkit.io.rigs import read_rigg\n"
-        'board("capture.mkv", camera=Rig.camra)\n'
+        'calibrate_board("capture.mkv", camera=Rig.camra)\n'
     )
     found = faults_of([wrong], cache)
     assert len(found) == 4, found

@@ -62,3 +62,33 @@ def test_the_first_process_rounds_as_those_do_that_find_its_kernels(tmp_path: Pa
         for _ in range(2)
     )
     assert first == second
+
+
+UNCHANGED = """
+import os
+before = dict(os.environ)
+import vntoolkit as vt
+import numpy as np
+assert dict(os.environ) == before
+from vntoolkit.threads import _limited_openblas, thread_policy
+from vntoolkit import solvers
+assert dict(os.environ) == before
+for library, name, count in _limited_openblas():
+    library[name.format("set")](2)
+with thread_policy():
+    assert os.environ["GOMP_SPINCOUNT"] == "0"
+    assert all(count == 1 for _, _, count in _limited_openblas())
+assert dict(os.environ) == before
+assert all(count == 2 for _, _, count in _limited_openblas())
+import numba
+numba.get_num_threads()
+assert numba.threading_layer() == "omp"
+"""
+
+
+def test_the_callers_process_is_left_as_it_was() -> None:
+    """Importing changes no environment; what a verb changes while it runs is put back."""
+    environment = {name: value for name, value in os.environ.items() if "THREAD" not in name}
+    for name in ("OMP_WAIT_POLICY", "GOMP_SPINCOUNT", "KMP_BLOCKTIME"):
+        environment.pop(name, None)
+    subprocess.run([sys.executable, "-c", UNCHANGED], check=True, env=environment)

@@ -26,7 +26,7 @@ FOOTAGE = {
 def film(name: str, folder: Path) -> None:
     scene, frames = FOOTAGE[name]
     run_step(
-        Step("sh", f"vntoolkit simulate {scene} --out .{scene} --frames {frames} --field-width 1.42", 0),
+        Step("sh", f"vntoolkit simulate {scene} --out .{scene} --frames {frames} --field-width-m 1.42", 0),
         folder,
     )
     (folder / f".{scene}" / "capture.mkv").rename(folder / name)

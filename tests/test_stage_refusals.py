@@ -7,7 +7,7 @@ import pytest
 import scipy.sparse as sp
 
 from vntoolkit import native
-from vntoolkit.calibration.fit import FitMethod, ResponseFitOptions, fit_response
+from vntoolkit.calibration.fit import fit_response
 from vntoolkit.calibration.sphere import Circle, sphere_normals
 from vntoolkit.errors import (
     BadCalibration,
@@ -25,14 +25,16 @@ from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.motion import Motion, Skeleton
 from vntoolkit.integration.discontinuity import hierarchy_from_graph, solve_laplacian
 from vntoolkit.integration.edges import graph_from_domain
-from vntoolkit.io.conventions import MeshUpAxis
 from vntoolkit.io.maps_and_meshes.usd import write_usd_sequence
 from vntoolkit.meshing.clean import clean_mesh
+from vntoolkit.options.calibration import FitMethod, ResponseFitOptions
+from vntoolkit.options.dressing import GarmentFitOptions
+from vntoolkit.options.export import MeshUpAxis
+from vntoolkit.options.simulation import Lighting, Nuisances, SceneOptions
 from vntoolkit.photometry.response import LightResponse, rgb_from_normals
-from vntoolkit.simulation.lights import WAVELENGTHS_NM, Lighting, Lights
-from vntoolkit.simulation.nuisances import Nuisances
-from vntoolkit.simulation.scene import SceneOptions, build_scene
-from vntoolkit.skinning.fitting import GarmentFitOptions, fit_garment_to_figure
+from vntoolkit.simulation.lights import WAVELENGTHS_NM, Lights
+from vntoolkit.simulation.scene import build_scene
+from vntoolkit.skinning.fitting import fit_garment_to_figure
 from vntoolkit.tracking.regularisers import factor_symmetric
 from vntoolkit.tracking.template import template_from_maps
 

@@ -31,8 +31,10 @@ _REFUSALS_OF_THE_SYSTEM = {
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line; return the exit status: 0 done, 1 error, 70 internal error, 130 interrupted."""
+    from vntoolkit.threads import thread_policy
+
     try:
-        with _no_interrupt_lost():
+        with _no_interrupt_lost(), thread_policy():
             return _run(arguments)
     except KeyboardInterrupt as interrupt:
         hint = str(interrupt) or "run the same command again to continue"

@@ -7,6 +7,7 @@ Without libGL open3d ends in a traceback, and without libOpenGL pymeshlab import
 import atexit
 import contextlib
 import ctypes
+import functools
 import importlib
 import os
 import re
@@ -20,6 +21,7 @@ from types import ModuleType
 from typing import Any
 
 from vntoolkit.errors import MissingDependency, VntError
+from vntoolkit.threads import NUMBA_LAYERS, set_thread_policy, thread_policy
 
 # Shared object -> Debian and Ubuntu package. What a wheel brings along, or every system has, is not here.
 OPEN3D_LIBRARIES = {
@@ -131,6 +133,7 @@ def import_pymeshlab() -> Any:
 
 def limit_threads(count: int) -> None:
     """Limit OpenCV and numba in this process to so many threads, so that worker processes share the cores."""
+    set_thread_policy()
     import cv2
     import numba
 
@@ -225,8 +228,7 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     code is kept in a private temporary folder. A cache that is full or damaged is passed over, and repaired
     where it can be.
     """
-    import numba
-
+    numba = _numba()
     is_kept = options.pop("cache", False)
 
     def compiled(function: Callable[..., Any]) -> Any:
@@ -237,6 +239,18 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
         return kernel
 
     return compiled
+
+
+@functools.cache
+def _numba() -> Any:
+    """Import numba, whose OpenMP threads wait without spinning; what the user has set stays."""
+    with thread_policy():
+        import numba
+
+        with contextlib.suppress(OSError):
+            ctypes.CDLL("libgomp.so.1")  # which reads the environment once, now
+        numba.config.THREADING_LAYER_PRIORITY = os.environ[NUMBA_LAYERS].split()  # type: ignore[attr-defined]
+    return numba
 
 
 def _cache_of(function: Callable[..., Any]) -> Any:

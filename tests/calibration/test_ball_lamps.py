@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from vntoolkit.calibration.ball_lamps import fit_lamps_to_ball
-from vntoolkit.calibration.sphere import SphereOptions, fit_response_to_switched_sphere, sphere_normals
+from vntoolkit.calibration.sphere import fit_response_to_switched_sphere, sphere_normals
 from vntoolkit.calibration.sphere import outline_from_mask as circle_of
 from vntoolkit.geometry.camera import Camera
+from vntoolkit.options.calibration import SphereOptions
 from vntoolkit.photometry.frame import LinearFrame
 
 WIDTH, HEIGHT, RADIUS = 320, 240, 90.0

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from tests.attached_shadow import shaded_rgb_from_normals
-from vntoolkit.calibration.board import BoardOptions, fit_camera, fit_response_to_board
+from vntoolkit.calibration.board import fit_camera, fit_response_to_board
 from vntoolkit.calibration.board_detection import BoardDetector
-from vntoolkit.calibration.fit import ResponseFitOptions
 from vntoolkit.errors import BadCalibration
 from vntoolkit.geometry.board_layout import MARKER_DICTIONARY, NORMAL_IN_BOARD, BoardLayout
 from vntoolkit.geometry.camera import Camera, CameraModel
 from vntoolkit.geometry.rigid import RigidTransform
+from vntoolkit.options.calibration import BoardOptions, ResponseFitOptions
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
 

@@ -4,12 +4,13 @@ import numpy as np
 import pytest
 
 from vntoolkit.calibration import board
-from vntoolkit.calibration.board import IntrinsicsOptions, fit_camera
+from vntoolkit.calibration.board import fit_camera
 from vntoolkit.calibration.board_detection import BoardSighting
 from vntoolkit.errors import BadCalibration
 from vntoolkit.geometry.board_layout import BoardLayout
 from vntoolkit.geometry.camera import Camera, CameraModel
 from vntoolkit.geometry.rigid import RigidTransform
+from vntoolkit.options.calibration import IntrinsicsOptions
 
 LAYOUT = BoardLayout()
 LONG = BoardLayout(columns=31, rows=5, hole_squares=1)

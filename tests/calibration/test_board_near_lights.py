@@ -3,12 +3,13 @@
 import numpy as np
 import pytest
 
-from vntoolkit.calibration.board import BoardOptions, fit_response_to_board
+from vntoolkit.calibration.board import fit_response_to_board
 from vntoolkit.calibration.board_detection import BoardSighting
 from vntoolkit.errors import BadCalibration
 from vntoolkit.geometry.board_layout import NORMAL_IN_BOARD, BoardLayout
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.rigid import RigidTransform
+from vntoolkit.options.calibration import BoardOptions
 
 LAYOUT = BoardLayout(columns=7, rows=7, hole_squares=3, square_mm=40.0)
 CAMERA = Camera.pinhole(width=640, height=480, focal_px=3000)

@@ -6,15 +6,9 @@ import numpy as np
 import pytest
 
 from tests.attached_shadow import shaded_rgb_from_normals
-from vntoolkit.calibration.fit import (
-    Design,
-    FitMethod,
-    ResponseFitOptions,
-    ResponseModel,
-    fit_by_trimming,
-    fit_response,
-)
+from vntoolkit.calibration.fit import Design, fit_by_trimming, fit_response
 from vntoolkit.errors import BadCalibration, BadInput
+from vntoolkit.options.calibration import FitMethod, ResponseFitOptions, ResponseModel
 from vntoolkit.photometry.response import LightResponse, rgb_from_normals
 
 DIRECTIONS = np.array([[0.6, 0.0, -0.8], [-0.36, 0.48, -0.8], [-0.36, -0.48, -0.8]])

@@ -4,11 +4,12 @@ from scipy.spatial.transform import Rotation
 
 from tests.calibration.turning_points import tracks_of, turning_ball
 from vntoolkit.calibration.head.colmap import camera_for_colmap, camera_from_colmap, colmap_from_pixels
-from vntoolkit.calibration.head.poses import PoseOptions, fit_affine_model, metric_poses, solve_head_motion
+from vntoolkit.calibration.head.poses import fit_affine_model, metric_poses, solve_head_motion
 from vntoolkit.calibration.head.tracks import Tracks
 from vntoolkit.errors import BadCalibration, BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.rigid import RigidTransform
+from vntoolkit.options.head import PoseOptions
 
 FAR = Camera.pinhole(width=640, height=480, focal_px=8000.0)
 NEAR = Camera.pinhole(width=640, height=480, focal_px=900.0)

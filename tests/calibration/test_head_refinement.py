@@ -13,7 +13,7 @@ from tests.calibration.turning_egg import (
     turning_poses,
 )
 from vntoolkit.calibration.fit import fit_quality
-from vntoolkit.calibration.head.light import HeadLight, LightOptions
+from vntoolkit.calibration.head.light import HeadLight
 from vntoolkit.calibration.head.refinement import (
     NoiseLevels,
     PositionSolver,
@@ -27,6 +27,7 @@ from vntoolkit.calibration.head.samples import LightFrame
 from vntoolkit.calibration.head.shape import FusedShape
 from vntoolkit.calibration.head.skin import SkinColours, SkinLight, SkinNormals, light_errors, skin_normals
 from vntoolkit.geometry.mesh import Mesh, vertex_normals
+from vntoolkit.options.head import LightOptions
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
 

@@ -5,19 +5,15 @@ import re
 import numpy as np
 import pytest
 
-from vntoolkit.calibration.head.light import LightOptions, fit_light
+from vntoolkit.calibration.head.light import fit_light
 from vntoolkit.calibration.head.poses import fit_affine_model, metric_poses
 from vntoolkit.calibration.head.samples import HeadSamples
-from vntoolkit.calibration.head.silhouettes import (
-    Silhouette,
-    SilhouetteOptions,
-    find_silhouette,
-    require_head,
-)
+from vntoolkit.calibration.head.silhouettes import Silhouette, find_silhouette, require_head
 from vntoolkit.calibration.head.tracks import Tracks, require_tracks
 from vntoolkit.errors import BadCalibration, BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.rigid import RigidTransform
+from vntoolkit.options.head import LightOptions, SilhouetteOptions
 
 CAMERA = Camera.pinhole(width=64, height=48, focal_px=100.0)
 

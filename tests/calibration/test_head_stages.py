@@ -12,23 +12,23 @@ from tests.calibration.turning_egg import (
     render_egg,
     turning_poses,
 )
-from vntoolkit.calibration.fit import ResponseModel
 from vntoolkit.calibration.head.hull import (
     Box,
-    HullOptions,
     SilhouetteView,
     fit_hull,
     mesh_of_grid,
     neighbours_of,
     turn_angles_deg,
 )
-from vntoolkit.calibration.head.light import LightOptions, fit_light
+from vntoolkit.calibration.head.light import fit_light
 from vntoolkit.calibration.head.samples import HeadRays, HeadSamples, spread_over_orientations
 from vntoolkit.calibration.head.sift import joined_matches
-from vntoolkit.calibration.head.silhouettes import SilhouetteOptions, find_silhouette
-from vntoolkit.calibration.head.tracks import TrackBuilder, TrackOptions, local_contrast
+from vntoolkit.calibration.head.silhouettes import find_silhouette
+from vntoolkit.calibration.head.tracks import TrackBuilder, local_contrast
 from vntoolkit.errors import BadCalibration, BadInput
 from vntoolkit.geometry.mesh import Mesh, vertex_normals
+from vntoolkit.options.calibration import ResponseModel
+from vntoolkit.options.head import HullOptions, LightOptions, SilhouetteOptions, TrackOptions
 
 POSES = turning_poses(13, 80.0)
 

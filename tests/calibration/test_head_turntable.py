@@ -5,22 +5,16 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from vntoolkit.calibration.head.hull import (
-    Box,
-    HullOptions,
-    SilhouetteView,
-    fit_hull,
-    mesh_of_grid,
-    neighbours_of,
-)
-from vntoolkit.calibration.head.poses import PoseOptions, PoseStart, solve_head_motion
-from vntoolkit.calibration.head.shape import FusionOptions, fit_shape
+from vntoolkit.calibration.head.hull import Box, SilhouetteView, fit_hull, mesh_of_grid, neighbours_of
+from vntoolkit.calibration.head.poses import solve_head_motion
+from vntoolkit.calibration.head.shape import fit_shape
 from vntoolkit.calibration.head.sift import SiftBuilder, require_features
-from vntoolkit.calibration.head.stereo import StereoOptions, hull_depth
+from vntoolkit.calibration.head.stereo import hull_depth
 from vntoolkit.calibration.head.tracks import local_contrast
 from vntoolkit.errors import BadCalibration
 from vntoolkit.geometry.camera import Camera, CameraModel
 from vntoolkit.geometry.rigid import RigidTransform
+from vntoolkit.options.head import FusionOptions, HullOptions, PoseOptions, PoseStart, StereoOptions
 from vntoolkit.pipeline.calibrate import CalibrationJob
 from vntoolkit.pipeline.calibrate_head import calibrate_head
 

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from vntoolkit.calibration.lights import (
-    LightColours,
     colour_of_frame,
     find_switched_lamps,
     fit_light_colours,
@@ -12,6 +11,7 @@ from vntoolkit.calibration.lights import (
     with_light_colours,
 )
 from vntoolkit.errors import BadCalibration, BadInput
+from vntoolkit.options.calibration import LightColours
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
 

@@ -7,9 +7,7 @@ import pytest
 
 from vntoolkit.calibration.fit import angles_deg
 from vntoolkit.calibration.presses import (
-    LabelOffset,
     Press,
-    PressOptions,
     PressSamples,
     find_contact_circle,
     fit_gel_to_presses,
@@ -19,6 +17,7 @@ from vntoolkit.calibration.presses import (
 )
 from vntoolkit.calibration.varying import VariationOptions, fit_varying_response
 from vntoolkit.errors import BadCalibration, BadInput
+from vntoolkit.options.calibration import LabelOffset, PressOptions
 from vntoolkit.photometry.response import LightResponse, rgb_from_normals
 
 MATRIX = np.array([[0.4, 0.1, -0.42], [-0.2, 0.35, -0.45], [-0.15, -0.35, -0.5]])

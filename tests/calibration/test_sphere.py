@@ -6,7 +6,6 @@ import pytest
 from tests.attached_shadow import shaded_rgb_from_normals
 from vntoolkit.calibration.sphere import (
     Circle,
-    SphereOptions,
     find_ball_outline,
     fit_response_to_sphere,
     outline_from_mask,
@@ -14,6 +13,7 @@ from vntoolkit.calibration.sphere import (
 )
 from vntoolkit.errors import BadCalibration, BadInput
 from vntoolkit.geometry.camera import Camera
+from vntoolkit.options.calibration import SphereOptions
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
 

@@ -89,6 +89,7 @@ def test_a_misspelt_command_is_answered_by_what_to_type(command, line, place, ca
         ("reconstruct frame.png --rig rig.json --out o --frames 5:9", "the capture has only 1 frame"),
         ("reconstruct frame.png --rig rig.json --out o --transfer rec709", "expected linear, srgb, bt709"),
         ("reconstruct frame.png --rig rig.json --out o --distance -3", "expected a positive number"),
+        ("track empty --refine-albedo", "--refine-albedo: was removed, since it left normals as they were"),
         # a file of another kind, or none
         ("reconstruct nothere.mkv --rig rig.json --out o", "nothere.mkv: no such file"),
         ("reconstruct empty --rig rig.json --out o", "or a pattern such as frame_%04d.png"),

@@ -18,13 +18,13 @@ from vntoolkit.io.maps_and_meshes.label_images import write_mask
 from vntoolkit.io.maps_and_meshes.maps import read_normal_map, write_normal_map
 from vntoolkit.io.results.manifest import read_manifest
 from vntoolkit.io.rigs import write_rig
+from vntoolkit.options.simulation import Nuisances, RenderOptions, SceneOptions
 from vntoolkit.photometry.response import rgb_from_normals
 from vntoolkit.photometry.rig import FitQuality, Rig
 from vntoolkit.photometry.transfer import Transfer, encoded_from_linear
 from vntoolkit.simulation.image_formation import true_response
-from vntoolkit.simulation.nuisances import Nuisances
-from vntoolkit.simulation.render import RenderOptions, render_frame
-from vntoolkit.simulation.scene import SceneOptions, build_scene
+from vntoolkit.simulation.render import render_frame
+from vntoolkit.simulation.scene import build_scene
 
 FAULTS, CLEAN = 10, 20
 

@@ -79,7 +79,7 @@ def poses(count: int) -> list[tuple[np.ndarray, np.ndarray]]:
     "camera",
     [
         pytest.param(PINHOLE, marks=pytest.mark.slow, id="pinhole"),
-        pytest.param(ORTHOGRAPHIC, id="orthographic"),
+        pytest.param(ORTHOGRAPHIC, marks=pytest.mark.slow, id="orthographic"),
     ],
 )
 def test_pose_and_radius_are_found_under_noise_and_wrong_normals(

@@ -3,16 +3,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from vntoolkit.errors import BadMesh, SolverFailed
-from vntoolkit.evaluation.mesh_comparison import (
-    Alignment,
-    AlignmentOptions,
-    align_mesh,
-    mesh_distance,
-    vertex_distances,
-)
+from vntoolkit.evaluation.mesh_comparison import align_mesh, mesh_distance, vertex_distances
 from vntoolkit.geometry.mesh import Mesh
+from vntoolkit.options.evaluation import Alignment, AlignmentOptions
 
-SIMILARITY = AlignmentOptions(free=Alignment.SIMILARITY)
+SIMILARITY = AlignmentOptions(align=Alignment.SIMILARITY)
 
 
 def relief(height: float = 1.0, size: int = 60) -> Mesh:
@@ -33,7 +28,7 @@ def moved(mesh: Mesh, scale: float) -> Mesh:
 @pytest.mark.parametrize(("free", "scale"), [(Alignment.RIGID, 1.0), (Alignment.SIMILARITY, 1.06)])
 def test_a_known_motion_is_undone(free: Alignment, scale: float, rng: np.random.Generator) -> None:
     mesh = relief()
-    aligned, motion = align_mesh(moved(mesh, scale), mesh, rng, AlignmentOptions(free=free))
+    aligned, motion = align_mesh(moved(mesh, scale), mesh, rng, AlignmentOptions(align=free))
     assert motion.scale == pytest.approx(1 / scale, rel=1e-3)
     assert np.abs(aligned.vertices - mesh.vertices).max() < 2e-3
 
@@ -41,7 +36,7 @@ def test_a_known_motion_is_undone(free: Alignment, scale: float, rng: np.random.
 def test_rigid_leaves_the_scale_and_none_leaves_everything(rng: np.random.Generator) -> None:
     mesh = relief()
     larger = moved(mesh, 1.06)
-    _, rigid = align_mesh(larger, mesh, rng, AlignmentOptions(free=Alignment.RIGID))
+    _, rigid = align_mesh(larger, mesh, rng, AlignmentOptions(align=Alignment.RIGID))
     same, _ = align_mesh(larger, mesh, rng)
     assert rigid.scale == 1.0
     assert np.array_equal(same.vertices, larger.vertices)

@@ -3,7 +3,6 @@ import pytest
 
 from vntoolkit.errors import BadMesh
 from vntoolkit.evaluation.mesh_comparison import (
-    MeasuredBy,
     mesh_distance,
     mesh_quality,
     mismatch,
@@ -12,6 +11,7 @@ from vntoolkit.evaluation.mesh_comparison import (
 )
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.point_cloud import PointCloud
+from vntoolkit.options.evaluation import MeasuredBy
 
 
 def sphere(radius: float, resolution: int = 60) -> Mesh:

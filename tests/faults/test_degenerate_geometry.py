@@ -9,10 +9,10 @@ from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.integration.integrate import DepthIntegrator
-from vntoolkit.integration.options import IntegrationOptions, Integrator
 from vntoolkit.io.maps_and_meshes.meshes import read_mesh, write_mesh
 from vntoolkit.meshing.surface import mesh_from_depth
-from vntoolkit.tracking.options import TrackingOptions
+from vntoolkit.options.depth import IntegrationOptions, Integrator
+from vntoolkit.options.tracking import TrackingOptions
 from vntoolkit.tracking.tracker import SurfaceTracker
 
 SIZE = 48

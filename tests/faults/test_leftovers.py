@@ -8,7 +8,8 @@ import pytest
 
 from tests.dome_result import dome_result
 from vntoolkit.io.atomic import atomic_path, require_writable_folder
-from vntoolkit.pipeline.export import ExportFormat, ExportJob, ExportOptions, export
+from vntoolkit.options.export import ExportFormat, ExportOptions
+from vntoolkit.pipeline.export import ExportJob, export
 
 __all__ = ["dome_result"]
 

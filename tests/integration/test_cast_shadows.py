@@ -8,8 +8,8 @@ from vntoolkit.geometry.camera import Camera, CameraModel
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.integration.cast_shadows import DepthSteps, steps_from_shadows
 from vntoolkit.integration.integrate import DepthIntegrator
-from vntoolkit.integration.options import IntegrationOptions, Integrator
 from vntoolkit.integration.slopes import rays_from_camera
+from vntoolkit.options.depth import IntegrationOptions, Integrator
 
 SHAPE = (60, 90)
 EDGE = 40  # column where the far plane begins

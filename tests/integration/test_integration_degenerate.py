@@ -10,7 +10,7 @@ from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
 from vntoolkit.integration.integrate import DepthAnchor, DepthIntegrator
-from vntoolkit.integration.options import IntegrationOptions, Integrator
+from vntoolkit.options.depth import IntegrationOptions, Integrator
 
 SIZE = 48
 EVERYWHERE = np.ones((SIZE, SIZE), dtype=bool)

@@ -8,8 +8,8 @@ from vntoolkit.geometry.camera import Camera, CameraModel
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.integration.edges import chords_from_normals, graph_from_domain
 from vntoolkit.integration.integrate import DepthIntegrator
-from vntoolkit.integration.options import IntegrationOptions, Integrator
 from vntoolkit.integration.slopes import rays_from_camera
+from vntoolkit.options.depth import IntegrationOptions, Integrator
 
 ROBUST = IntegrationOptions(integrator=Integrator.DISCONTINUITY)
 # mean absolute error in mm of the better of Cao et al.'s code and the best least-squares program

@@ -10,8 +10,8 @@ from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.integration.discontinuity import hierarchy_from_graph, solve_laplacian
 from vntoolkit.integration.edges import divergence_on_graph, edges_from_slopes, graph_from_domain
 from vntoolkit.integration.integrate import DepthIntegrator
-from vntoolkit.integration.options import IntegrationOptions, Integrator
 from vntoolkit.integration.poisson import MaskedSolver
+from vntoolkit.options.depth import IntegrationOptions, Integrator
 
 POISSON = IntegrationOptions(integrator=Integrator.POISSON)
 

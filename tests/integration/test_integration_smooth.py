@@ -8,8 +8,8 @@ from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera, CameraModel
 from vntoolkit.geometry.maps import LengthUnit, NormalMap
 from vntoolkit.integration.integrate import DepthIntegrator
-from vntoolkit.integration.options import IntegrationOptions, Integrator, Precision
 from vntoolkit.integration.poisson import CosineSolver
+from vntoolkit.options.depth import IntegrationOptions, Integrator, Precision
 
 LEAST_SQUARES = [Integrator.FOURIER, Integrator.COSINE, Integrator.POISSON]
 

@@ -9,7 +9,8 @@ import pytest
 
 from vntoolkit.errors import BadInput, CannotWrite
 from vntoolkit.geometry.board_layout import BoardLayout
-from vntoolkit.io.board_pdf import PageSize, write_board_pdf
+from vntoolkit.io.board_pdf import write_board_pdf
+from vntoolkit.options.pages import PageSize
 
 
 def rectangles_mm(path):

@@ -9,7 +9,6 @@ from vntoolkit.errors import BadInput, BadMesh, CannotWrite
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
 from vntoolkit.geometry.mesh import Mesh, MeshSequence, vertex_normals
 from vntoolkit.geometry.point_cloud import PointCloud
-from vntoolkit.io.conventions import NormalConvention
 from vntoolkit.io.footage.images import read_image
 from vntoolkit.io.maps_and_meshes.exr import write_exr
 from vntoolkit.io.maps_and_meshes.maps import (
@@ -26,6 +25,7 @@ from vntoolkit.io.maps_and_meshes.meshes import (
     write_point_cloud,
 )
 from vntoolkit.io.results.sequences import MeshSequenceWriter, read_mesh_sequence
+from vntoolkit.options.export import NormalConvention
 
 
 @pytest.fixture

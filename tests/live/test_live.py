@@ -28,11 +28,11 @@ from vntoolkit.live.frames import (
     exposure_warnings,
     reduced,
 )
+from vntoolkit.options.normals import ShadowMethod
+from vntoolkit.options.reconstruction import MaterialSearch, Product, ReconstructOptions
 from vntoolkit.photometry.response import rgb_from_normals
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline.frame_processor import FrameProcessor
-from vntoolkit.pipeline.options import MaterialSearch, Product, ReconstructOptions
-from vntoolkit.shadows.detector import ShadowMethod
 
 
 def dome_picture(background: float = 0.0) -> np.ndarray:

@@ -19,9 +19,9 @@ from vntoolkit.io.footage.decoding import EncodedFrame
 from vntoolkit.live.capture import LiveFigures, LiveRecorder, LiveRun, TimedFrame
 from vntoolkit.live.frames import LiveProcessor, LiveResult
 from vntoolkit.live.page import LiveViewer, status_cards
+from vntoolkit.options.pages import ViewerOptions
 from vntoolkit.photometry.response import rgb_from_normals
 from vntoolkit.photometry.rig import Rig
-from vntoolkit.report.local_server import ViewerOptions
 
 WIDTH, HEIGHT = 160, 120
 

@@ -24,10 +24,11 @@ from vntoolkit.io.footage.decoding import EncodedFrame
 from vntoolkit.live.capture import LiveFigures, LiveRecorder, TimedFrame
 from vntoolkit.live.frames import LiveProcessor, LiveResult
 from vntoolkit.live.page import LiveViewer, PacketSizes, camera_block
-from vntoolkit.meshing.surface import MeshOptions, mesh_from_depth
+from vntoolkit.meshing.surface import mesh_from_depth
+from vntoolkit.options.depth import MeshOptions
+from vntoolkit.options.pages import ViewerOptions
 from vntoolkit.photometry.response import rgb_from_normals
 from vntoolkit.photometry.rig import Rig
-from vntoolkit.report.local_server import ViewerOptions
 from vntoolkit.report.scene import depth_block, depth_box, normals_block, place_of
 
 FIGURES = LiveFigures(arrived=1, processed=1, dropped=0, failed=0, rate_hz=0.0, latency_s=(0.0, 0.0))

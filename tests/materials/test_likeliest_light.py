@@ -4,7 +4,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from vntoolkit.arrays import FloatArray, Mask
-from vntoolkit.materials.pixels import Seams, near_seams
+from vntoolkit.materials.mixtures import Seams, near_seams
 from vntoolkit.materials.relighting import relit
 from vntoolkit.normals.inversion import normals_from_frame
 from vntoolkit.photometry.frame import LinearFrame

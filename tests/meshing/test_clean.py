@@ -5,8 +5,9 @@ from vntoolkit.errors import BadMesh
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap
 from vntoolkit.geometry.mesh import Mesh
-from vntoolkit.meshing.clean import CleanOptions, clean_mesh
+from vntoolkit.meshing.clean import clean_mesh
 from vntoolkit.meshing.surface import mesh_from_depth
+from vntoolkit.options.export import CleanOptions
 
 
 @pytest.fixture

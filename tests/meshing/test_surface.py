@@ -5,7 +5,8 @@ from vntoolkit.errors import BadInput, BadMesh
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, NormalMap
 from vntoolkit.geometry.mesh import face_normals
-from vntoolkit.meshing.surface import MeshOptions, mesh_from_depth, point_cloud_from_depth
+from vntoolkit.meshing.surface import mesh_from_depth, point_cloud_from_depth
+from vntoolkit.options.depth import MeshOptions
 
 ORTHOGRAPHIC = Camera.orthographic(width=40, height=30)
 PINHOLE = Camera.pinhole(width=40, height=30, focal_px=60)

@@ -4,13 +4,8 @@ import numpy as np
 import pytest
 
 from vntoolkit.errors import BadInput
-from vntoolkit.normals.inversion import (
-    ClippedPixels,
-    InversionOptions,
-    normals_from_encoded,
-    normals_from_frame,
-    relative_albedo_from_frame,
-)
+from vntoolkit.normals.inversion import normals_from_encoded, normals_from_frame, relative_albedo_from_frame
+from vntoolkit.options.normals import ClippedPixels, InversionOptions
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse, rgb_from_normals
 from vntoolkit.photometry.transfer import (

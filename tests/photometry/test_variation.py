@@ -8,12 +8,8 @@ import pytest
 from vntoolkit.errors import BadRig
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.io.rigs import RIG_VERSION, rig_from_text, text_from_rig
-from vntoolkit.normals.inversion import (
-    InversionOptions,
-    normals_from_encoded,
-    normals_from_frame,
-    relative_albedo_from_frame,
-)
+from vntoolkit.normals.inversion import normals_from_encoded, normals_from_frame, relative_albedo_from_frame
+from vntoolkit.options.normals import InversionOptions
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.levelling import Leveller
 from vntoolkit.photometry.response import (

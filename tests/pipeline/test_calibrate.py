@@ -7,7 +7,7 @@ import pytest
 
 from tests.attached_shadow import shaded_rgb_from_normals
 from vntoolkit.__main__ import main
-from vntoolkit.calibration.presses import Press, PressOptions, normals_of_press
+from vntoolkit.calibration.presses import Press, normals_of_press
 from vntoolkit.evaluation.angular_error import angles_between_deg
 from vntoolkit.geometry.rectification import Rectification
 from vntoolkit.io.footage.captures import open_capture
@@ -18,11 +18,12 @@ from vntoolkit.io.maps_and_meshes.maps import read_depth_map, read_normal_map
 from vntoolkit.io.rigs import read_rig
 from vntoolkit.normals.inversion import normals_from_encoded
 from vntoolkit.normals.photometric_stereo import normals_from_lights
+from vntoolkit.options.calibration import PressOptions
+from vntoolkit.options.reconstruction import Product, ReconstructOptions
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.transfer import Transfer, encoded_from_linear
 from vntoolkit.pipeline.calibrate_presses import PressJob, calibrate_presses, read_press_label
 from vntoolkit.pipeline.frame_processor import FrameProcessor
-from vntoolkit.pipeline.options import Product, ReconstructOptions
 
 DIRECTIONS = np.array([[0.6, 0.0, -0.8], [-0.36, 0.48, -0.8], [-0.36, -0.48, -0.8]])
 COLOURS = np.array([[0.5, 0.05, 0.02], [0.06, 0.6, 0.1], [0.0, 0.1, 0.4]])

@@ -17,16 +17,22 @@ from tests.calibration.turning_egg import (
     turning_poses,
     write_frames,
 )
-from vntoolkit.calibration.head.hull import HullOptions
-from vntoolkit.calibration.head.poses import PoseOptions
-from vntoolkit.calibration.head.samples import SampleOptions
-from vntoolkit.calibration.head.stereo import StereoOptions
-from vntoolkit.calibration.head.tracks import TrackOptions
 from vntoolkit.errors import BadCalibration, BadInput
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.maps_and_meshes.meshes import read_mesh, write_mesh
+from vntoolkit.options.head import (
+    Features,
+    FollowOptions,
+    HeadOptions,
+    HeadShape,
+    HullOptions,
+    PoseOptions,
+    SampleOptions,
+    StereoOptions,
+    TrackOptions,
+)
 from vntoolkit.pipeline.calibrate import CalibrationJob
-from vntoolkit.pipeline.calibrate_head import Features, FollowOptions, HeadOptions, HeadShape, calibrate_head
+from vntoolkit.pipeline.calibrate_head import calibrate_head
 from vntoolkit.report.head import notices_of_head, write_head_page
 
 OPTIONS = HeadOptions(  # for a picture of 320 by 240

@@ -13,12 +13,12 @@ from vntoolkit.errors import BadCapture, BadInput, MissingDependency
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.footage.images import write_png
 from vntoolkit.io.results.frame_log import FrameEntry, FrameLog
+from vntoolkit.options.normals import ShadowMethod
+from vntoolkit.options.reconstruction import Product, ReconstructOptions
 from vntoolkit.pipeline.block_work import ReconstructionJob
 from vntoolkit.pipeline.cluster import connected
-from vntoolkit.pipeline.options import Product, ReconstructOptions
 from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.reconstruct import reconstruct
-from vntoolkit.shadows.detector import ShadowMethod
 
 
 def job_of(capture: DomeCapture, out: Path) -> ReconstructionJob:

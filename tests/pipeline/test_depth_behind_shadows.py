@@ -9,13 +9,13 @@ from vntoolkit.arrays import FloatArray
 from vntoolkit.geometry.maps import DepthMap
 from vntoolkit.integration.integrate import DepthIntegrator
 from vntoolkit.io.footage.decoding import EncodedFrame
+from vntoolkit.options.reconstruction import MaterialSearch, Product, ReconstructOptions
+from vntoolkit.options.simulation import Nuisances, SceneOptions
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline.frame_processor import FrameProcessor
-from vntoolkit.pipeline.options import MaterialSearch, Product, ReconstructOptions
 from vntoolkit.simulation.image_formation import true_response
-from vntoolkit.simulation.nuisances import Nuisances
 from vntoolkit.simulation.render import render_frame
-from vntoolkit.simulation.scene import SceneOptions, build_scene
+from vntoolkit.simulation.scene import build_scene
 
 
 def errors_px(found: DepthMap, truth: DepthMap, focal_px: float) -> FloatArray:

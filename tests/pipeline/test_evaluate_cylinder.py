@@ -5,38 +5,33 @@ from pathlib import Path
 
 import pytest
 
-from vntoolkit.cli.evaluate import cylinder as evaluate
-from vntoolkit.cli.reconstruct import reconstruct
-from vntoolkit.cli.simulate import simulate
+import vntoolkit as vt
+from vntoolkit.__main__ import main
 from vntoolkit.errors import BadInput
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.pipeline.evaluate import evaluate_cylinder
 from vntoolkit.pipeline.opened_result import open_result
-from vntoolkit.pipeline.options import Product, ReconstructOptions
-from vntoolkit.shadows.detector import ShadowMethod
-from vntoolkit.simulation.nuisances import Nuisances
-
-NORMALS = ReconstructOptions(to=Product.NORMALS, shadows=ShadowMethod.NONE)
-FAR_LIGHTS = Nuisances().without("near_lights")
 
 
 @pytest.fixture(scope="module")
 def folders(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     root = tmp_path_factory.mktemp("cylinder")
-    simulate("cylinder", out=root / "sim", frames="60:142:80", size="320x240", nuisances=FAR_LIGHTS)
+    vt.simulate("cylinder", out=root / "sim", frames="60:142:80", size="320x240", near_lights=False)
     rig = root / "sim" / "truth" / "rig.json"
-    reconstruct(str(root / "sim" / "capture.mkv"), rig=rig, out=root / "rec", options=NORMALS)
+    vt.reconstruct(root / "sim" / "capture.mkv", rig=rig, out=root / "rec", to="normals", shadows="none")
     return root / "rec", root / "sim"
 
 
 def test_the_fit_and_the_normals_are_right(
     folders: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    found = evaluate(folders[0], truth=folders[1], out=tmp_path)
+    found = vt.evaluate_cylinder(folders[0], truth=folders[1], out=tmp_path)
     written = json.loads((tmp_path / "cylinder.json").read_text())
     assert written["mean_deg"] == pytest.approx(found.mean_deg)
     assert [frame["frame"] for frame in written["frames"]] == [0, 1]
     assert (tmp_path / "cylinder.png").read_bytes()[:4] == b"\x89PNG"
+    command = ["evaluate", "cylinder", folders[0], "--truth", folders[1], "--out", tmp_path]
+    assert main(list(map(str, command))) == 0
     assert "the fit against the truth" in capsys.readouterr().out
     for frame in found.frames:
         assert frame.truth is not None

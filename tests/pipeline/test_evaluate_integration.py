@@ -4,7 +4,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vntoolkit.cli.evaluate import integration as evaluate
+from vntoolkit.cli.evaluate import evaluate_integration
 from vntoolkit.errors import BadInput
 from vntoolkit.evaluation.depth_error import peaks
 from vntoolkit.geometry.maps import NormalMap
@@ -14,7 +14,7 @@ from vntoolkit.pipeline.evaluate import objects_in, real_object_errors
 
 
 def test_every_integrator_is_judged(tmp_path: Path) -> None:
-    evaluate(size=48, out=tmp_path)
+    evaluate_integration(size=48, out=tmp_path)
     rows = json.loads((tmp_path / "integration.json").read_text())["surfaces"]
     means = {(row["surface"], row["integrator"]): row["mean"] for row in rows}
     assert all(mean < 0.5 for (surface, _), mean in means.items() if surface.startswith("hills"))

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vntoolkit.cli.evaluate import mesh as evaluate_mesh
-from vntoolkit.cli.evaluate import normals as evaluate
+from vntoolkit.__main__ import main
+from vntoolkit.cli.evaluate import evaluate_mesh
 from vntoolkit.errors import BadInput, BadMesh
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.geometry.mesh import Mesh
@@ -34,7 +34,7 @@ def folders(tmp_path: Path) -> tuple[Path, Path]:
 def test_folders_are_compared_frame_by_frame(
     folders: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    evaluate(*folders, out=tmp_path / "out")
+    assert main(list(map(str, ["evaluate", "normals", *folders, "--out", tmp_path / "out"]))) == 0
     written = json.loads((tmp_path / "out" / "normals.json").read_text())
     assert written["overall"]["mean_deg"] == pytest.approx(7.5, abs=0.05)
     assert written["overall"]["below_5"] == pytest.approx(0.5)
@@ -84,3 +84,7 @@ def test_a_mesh_is_measured_and_one_without_faces_is_refused(tmp_path: Path) -> 
     assert (written["distance"]["mean"], list(written["quality"])) == (pytest.approx(0.5), ["low.ply"])
     with pytest.raises(BadMesh, match=r"points.ply: expected a surface, got 100 vertices and no face"):
         evaluate_mesh(tmp_path / "points.ply", out=tmp_path / "out")
+    write_mesh(tmp_path / "none.ply", Mesh(vertices=flat[:0], faces=np.zeros((0, 3), int)))
+    for pair in (("none.ply", "low.ply"), ("low.ply", "none.ply")):
+        with pytest.raises(BadMesh, match=r"none.ply: expected a surface or points, got no vertex"):
+            evaluate_mesh(*(tmp_path / name for name in pair), out=tmp_path / "out")

@@ -14,7 +14,7 @@ from vntoolkit.errors import BadInput
 from vntoolkit.evaluation.angular_error import angles_between_deg
 from vntoolkit.evaluation.mesh_comparison import mesh_distance
 from vntoolkit.geometry.mesh import face_normals
-from vntoolkit.io.conventions import MeshUpAxis, NormalConvention, graphics_from_camera
+from vntoolkit.io.conventions import graphics_from_camera
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.footage.images import read_image, read_image_with_alpha
 from vntoolkit.io.light_files import read_lights
@@ -23,16 +23,17 @@ from vntoolkit.io.maps_and_meshes.label_images import read_mask
 from vntoolkit.io.maps_and_meshes.maps import read_depth_map, read_normal_map
 from vntoolkit.io.maps_and_meshes.meshes import read_mesh, read_point_cloud
 from vntoolkit.io.results.sequences import read_mesh_sequence
-from vntoolkit.meshing.clean import CleanOptions
 from vntoolkit.normals.photometric_stereo import normals_from_lights
-from vntoolkit.pipeline.export import (
+from vntoolkit.options.export import (
+    CleanOptions,
     ExportedSurface,
     ExportFormat,
-    ExportJob,
     ExportOptions,
     FileUnit,
-    export,
+    MeshUpAxis,
+    NormalConvention,
 )
+from vntoolkit.pipeline.export import ExportJob, export
 
 __all__ = ["dome_result"]
 FRAMES = FrameRange.from_text("0:3")

@@ -20,17 +20,17 @@ from vntoolkit.io.maps_and_meshes.maps import read_normal_map
 from vntoolkit.io.maps_and_meshes.meshes import read_mesh
 from vntoolkit.io.results.manifest import MaterialEntry, read_manifest
 from vntoolkit.materials.search import Material, find_materials
+from vntoolkit.options.normals import ShadowMethod
+from vntoolkit.options.reconstruction import MaterialSearch, Product, ReconstructOptions
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse, with_near_lamps
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline import measured_materials
 from vntoolkit.pipeline.block_work import ReconstructionJob
 from vntoolkit.pipeline.frame_processor import FrameProcessor
-from vntoolkit.pipeline.options import MaterialSearch, Product, ReconstructOptions
 from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.reconstruct import _in_one_material, reconstruct
 from vntoolkit.pipeline.referenced_captures import read_capture
-from vntoolkit.shadows.detector import ShadowMethod
 
 DIRECTIONS = np.array([[0.5, 0.0, -0.866], [-0.25, 0.433, -0.866], [-0.25, -0.433, -0.866]])
 COLOURS = np.array([[0.7, 0.1, 0.02], [0.08, 0.6, 0.1], [0.02, 0.12, 0.65]])
@@ -103,7 +103,7 @@ def test_paints_under_near_lamps_are_fitted_again(tmp_path: Path, monkeypatch: p
     job = filmed(tmp_path, PAINTS, 1, with_near_lamps(RESPONSE, 0.15, (SIZE, SIZE)))
 
     def once(*known: Any) -> list[MaterialEntry]:
-        return measured_materials.measured_materials(*known[:2]).entries
+        return measured_materials.measured_materials(*known[:4]).entries
 
     off = []
     for name in ("again", "once"):
@@ -127,9 +127,8 @@ def test_frames_far_apart_are_looked_at_and_decoded_once(
         return read(self, number)
 
     monkeypatch.setattr(Capture, "encoded", encoded)
-    first_frames = measured_materials.FirstFrames(capture, striped.open_mattes(capture), range(frames))
-    for _ in range(2):
-        assert [each.name[-6:-4] for each in first_frames.seen(striped)] == [f"{n:02d}" for n in expected]
+    seen = measured_materials.first_frames(striped, capture, striped.open_mattes(capture), range(frames))
+    assert [each.name[-6:-4] for each in seen] == [f"{n:02d}" for n in expected]
     assert decoded == expected
 
 

@@ -3,9 +3,8 @@
 import pytest
 
 from recipes.nuisances import nuisance_errors
-from vntoolkit.simulation.nuisances import Nuisances, nuisance_names
-from vntoolkit.simulation.render import RenderOptions
-from vntoolkit.simulation.scene import SceneOptions, build_scene
+from vntoolkit.options.simulation import Nuisances, RenderOptions, SceneOptions, nuisance_names
+from vntoolkit.simulation.scene import build_scene
 
 pytestmark = pytest.mark.slow  # a capture for every nuisance
 

@@ -12,14 +12,14 @@ from tests.dome_result import DomeResult, dome_result
 from tests.pipeline.conftest import SIZE, DomeCapture
 from tests.result_files import write_mesh_sequence
 from vntoolkit.__main__ import main
-from vntoolkit.calibration.lights import LightColours
-from vntoolkit.calibration.presses import PressOptions
 from vntoolkit.errors import BadCalibration, BadCapture, BadInput, BadMotion
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.mesh import Mesh, MeshSequence
 from vntoolkit.geometry.motion import Motion, Skeleton
 from vntoolkit.io.footage.images import write_png
 from vntoolkit.io.rigs import write_rig
+from vntoolkit.options.calibration import LightColours, PressOptions
+from vntoolkit.options.reconstruction import ReconstructOptions
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline import simulate
 from vntoolkit.pipeline.block_work import ReconstructionJob
@@ -35,7 +35,6 @@ from vntoolkit.pipeline.evaluate import (
     surface_cases,
 )
 from vntoolkit.pipeline.opened_result import open_result
-from vntoolkit.pipeline.options import ReconstructOptions
 from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.reconstruct import reconstruct
 from vntoolkit.pipeline.referenced_captures import read_capture

@@ -8,27 +8,24 @@ import numpy as np
 import pytest
 
 from tests.pipeline.conftest import DomeCapture, write_dome_capture
-from vntoolkit.cli.flags import Flags
 from vntoolkit.errors import BadCapture, BadInput, BadRig
 from vntoolkit.evaluation.angular_error import angles_between_deg
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.io.footage.decoding import EncodedFrame
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.footage.images import write_png
-from vntoolkit.io.footage.mattes import MatteOptions
-from vntoolkit.io.footage.mosaics import SensorOptions
 from vntoolkit.io.maps_and_meshes.label_images import write_mask
 from vntoolkit.io.maps_and_meshes.maps import read_depth_map, read_normal_map
 from vntoolkit.io.maps_and_meshes.meshes import read_mesh
 from vntoolkit.io.results.frame_log import FrameEntry, FrameLog
 from vntoolkit.io.results.manifest import read_manifest
+from vntoolkit.options.normals import ShadowMethod
+from vntoolkit.options.reconstruction import OnError, Product, ReconstructOptions
 from vntoolkit.photometry.rig import FitQuality
 from vntoolkit.pipeline.block_work import ReconstructionJob
 from vntoolkit.pipeline.frame_processor import FrameProcessor
-from vntoolkit.pipeline.options import OnError, Product, ReconstructOptions
 from vntoolkit.pipeline.outputs import ReconstructionFolder
-from vntoolkit.pipeline.reconstruct import _options_that_shape, reconstruct
-from vntoolkit.shadows.detector import ShadowMethod
+from vntoolkit.pipeline.reconstruct import reconstruct
 
 
 def job_of(capture: DomeCapture, out: Path, **options: object) -> ReconstructionJob:
@@ -60,15 +57,6 @@ def test_a_frame_of_another_size_than_the_rigs_is_refused(dome_capture: DomeCapt
     for work in (processor.process, processor.refer_to):
         with pytest.raises(BadInput, match=r"a\.png: expected shape 48 × 64 × 3, got 50 × 64 × 3"):
             work(frame)
-
-
-def test_defaults_that_the_command_line_fills_in_are_defaults(
-    dome_capture: DomeCapture, tmp_path: Path
-) -> None:
-    """A run that was begun with `--jobs 2` can be continued without it."""
-    job = job_of(dome_capture, tmp_path)
-    typed = replace(job, sensor=Flags().spread(SensorOptions)(), matting=Flags().spread(MatteOptions)())
-    assert _options_that_shape(typed) == _options_that_shape(job)
 
 
 def test_normals_depth_and_mesh_are_those_of_the_dome(dome_capture: DomeCapture, whole_run: Path) -> None:

@@ -12,11 +12,11 @@ from vntoolkit.io.footage.images import write_png
 from vntoolkit.io.maps_and_meshes.label_images import read_labels
 from vntoolkit.io.maps_and_meshes.maps import read_normal_map
 from vntoolkit.io.results.manifest import read_manifest
+from vntoolkit.options.normals import ShadowMethod
+from vntoolkit.options.reconstruction import Product
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.rig import Rig
-from vntoolkit.pipeline.options import Product
 from vntoolkit.pipeline.reconstruct import reconstruct
-from vntoolkit.shadows.detector import ShadowMethod
 
 FRAMES = 12
 SHADOWED_LIGHT = 2

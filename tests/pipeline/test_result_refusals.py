@@ -13,16 +13,10 @@ from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import LengthUnit
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.live.page import LiveViewer
-from vntoolkit.pipeline.export import (
-    ExportedSurface,
-    ExportFormat,
-    ExportJob,
-    ExportOptions,
-    export,
-    file_lengths,
-)
+from vntoolkit.options.export import ExportedSurface, ExportFormat, ExportOptions
+from vntoolkit.options.pages import ViewerOptions
+from vntoolkit.pipeline.export import ExportJob, export, file_lengths
 from vntoolkit.pipeline.opened_result import open_result
-from vntoolkit.report.local_server import ViewerOptions
 from vntoolkit.report.result_scene import ResultViewer
 
 __all__ = ["dome_result"]

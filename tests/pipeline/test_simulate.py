@@ -17,11 +17,10 @@ from vntoolkit.io.maps_and_meshes.label_images import read_labels, read_mask
 from vntoolkit.io.maps_and_meshes.maps import read_depth_map, read_normal_map
 from vntoolkit.io.results.sequences import read_mesh_sequence
 from vntoolkit.io.rigs import read_rig
+from vntoolkit.options.simulation import Lighting, Nuisances, RenderOptions, SceneOptions
 from vntoolkit.pipeline.simulate import SimulationFolder, SimulationJob, simulate
-from vntoolkit.simulation.lights import Lighting
-from vntoolkit.simulation.nuisances import Nuisances
-from vntoolkit.simulation.render import RenderOptions, render_frame
-from vntoolkit.simulation.scene import SceneOptions, build_scene
+from vntoolkit.simulation.render import render_frame
+from vntoolkit.simulation.scene import build_scene
 
 SIZE = SceneOptions(width=96, height=72)
 

@@ -15,13 +15,13 @@ from vntoolkit.io.footage.captures import open_capture
 from vntoolkit.io.maps_and_meshes.maps import read_depth_map
 from vntoolkit.io.results.manifest import read_manifest
 from vntoolkit.normals.inversion import normals_from_frame
+from vntoolkit.options.normals import ShadowMethod
+from vntoolkit.options.reconstruction import DepthOffset, Product, ReconstructOptions
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import rgb_from_normals
 from vntoolkit.pipeline.block_work import ReconstructionJob, smoothed_frames, smoothed_over_time
-from vntoolkit.pipeline.options import DepthOffset, Product, ReconstructOptions
 from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.reconstruct import reconstruct
-from vntoolkit.shadows.detector import ShadowMethod
 
 
 def noisy_depths(rng, sigma: float, count: int, arm_from: int | None = None) -> list[DepthMap]:

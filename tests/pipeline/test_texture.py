@@ -15,12 +15,13 @@ from tests.pipeline.conftest import RESPONSE
 from vntoolkit.geometry.mesh import vertex_normals
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.footage.images import read_image
+from vntoolkit.options.export import ExportFormat, ExportOptions
 from vntoolkit.photometry.transfer import Transfer, TransferCurve, encoded_from_linear
 from vntoolkit.pipeline.dress import (
     captured_look,
     read_tracked_cloth,
 )
-from vntoolkit.pipeline.export import ExportFormat, ExportJob, ExportOptions, export
+from vntoolkit.pipeline.export import ExportJob, export
 from vntoolkit.pipeline.opened_result import open_result
 from vntoolkit.pipeline.texture import filled, read_texture, tangent_frames, texels_of, write_texture
 

@@ -15,10 +15,10 @@ from vntoolkit.__main__ import main
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.rectification import Rectification
 from vntoolkit.io.footage.images import write_png
+from vntoolkit.options.pages import ViewerOptions
 from vntoolkit.pipeline.calibrate_presses import PressJob, read_press_label
 from vntoolkit.pipeline.press_circles import PressCircles
 from vntoolkit.report.circles_page import CirclesViewer
-from vntoolkit.report.local_server import ViewerOptions
 
 PLACES = {"press-2": (50.0, 60.0), "press-10": (80.0, 120.0)}
 LEFT, RIGHT, BOTTOM = MARGIN, MARGIN + WIDTH, MARGIN + HEIGHT

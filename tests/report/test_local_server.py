@@ -9,8 +9,9 @@ from urllib.parse import urlsplit
 import pytest
 
 from tests.browser import visit
+from vntoolkit.options.pages import ViewerOptions
 from vntoolkit.report import local_server
-from vntoolkit.report.local_server import LocalServer, ViewerOptions
+from vntoolkit.report.local_server import LocalServer
 from vntoolkit.report.scene import scene_page
 
 

@@ -15,9 +15,10 @@ from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap
 from vntoolkit.io.results.manifest import FindingEntry, read_manifest, write_manifest
+from vntoolkit.options.pages import ReportOptions
 from vntoolkit.report.page import PageSection, PageTable, figure_from_file, figure_from_plot
 from vntoolkit.report.pictures import new_figure, normals_from_depth, picture_of_depth
-from vntoolkit.report.report import ReportOptions, write_report
+from vntoolkit.report.report import write_report
 
 SCRIPT = "<script>alert(1)</script>"
 

@@ -18,8 +18,9 @@ from vntoolkit.errors import BadInput
 from vntoolkit.geometry.mesh import Mesh, face_normals
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.results.sequences import read_mesh_sequence
+from vntoolkit.options.pages import ScenePageOptions
 from vntoolkit.pipeline.opened_result import open_result
-from vntoolkit.report.result_scene import ScenePageOptions, thinned_template, write_scene
+from vntoolkit.report.result_scene import thinned_template, write_scene
 
 GROUND = np.array([32, 38, 47])
 

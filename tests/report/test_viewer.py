@@ -13,8 +13,8 @@ import pytest
 from tests.browser import Visit, visit
 from tests.dome_result import DomeResult
 from vntoolkit.errors import BadInput
+from vntoolkit.options.pages import ViewerOptions
 from vntoolkit.pipeline.opened_result import open_result
-from vntoolkit.report.local_server import ViewerOptions
 from vntoolkit.report.result_scene import ResultViewer
 
 

@@ -8,8 +8,9 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import maximum_flow
 
 from vntoolkit.errors import BadInput
+from vntoolkit.options.normals import ShadowMethod
 from vntoolkit.photometry.frame import LinearFrame, lit_from_labels
-from vntoolkit.shadows.detector import ShadowDetector, ShadowMethod, lit_by_edges
+from vntoolkit.shadows.detector import ShadowDetector, lit_by_edges
 from vntoolkit.shadows.graph_cut import bonds_of_light, lit_by_cut
 
 

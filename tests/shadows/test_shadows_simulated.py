@@ -5,14 +5,15 @@ import pytest
 
 from vntoolkit.evaluation.angular_error import angles_between_deg
 from vntoolkit.normals.inversion import normals_from_frame
+from vntoolkit.options.normals import ShadowMethod
+from vntoolkit.options.simulation import Nuisances, SceneOptions
 from vntoolkit.photometry.frame import count_lit, lit_from_labels
 from vntoolkit.photometry.levelling import Leveller
-from vntoolkit.shadows.detector import ShadowDetector, ShadowMethod
+from vntoolkit.shadows.detector import ShadowDetector
 from vntoolkit.shadows.recovery import recover_normals
 from vntoolkit.simulation.image_formation import true_response, true_varying_response
-from vntoolkit.simulation.nuisances import Nuisances
 from vntoolkit.simulation.render import render_frame
-from vntoolkit.simulation.scene import SceneOptions, build_scene
+from vntoolkit.simulation.scene import build_scene
 
 # Overlap with the true shadow of each light. Measured: 0.790, 0.696, 0.846; 0.695, 0.949, 0.875. Where the
 # outline turns from a light within two pixels, and on the dark side of a face, less is found than is true.

@@ -3,10 +3,10 @@ import pytest
 
 from vntoolkit.evaluation.angular_error import compare_normals
 from vntoolkit.normals.inversion import normals_from_frame
+from vntoolkit.options.simulation import Nuisances, SceneOptions
 from vntoolkit.simulation.image_formation import true_response, true_varying_response
-from vntoolkit.simulation.nuisances import Nuisances
 from vntoolkit.simulation.render import render_frame
-from vntoolkit.simulation.scene import SceneOptions, build_scene
+from vntoolkit.simulation.scene import build_scene
 
 NEAR = Nuisances().only("near_lights")
 

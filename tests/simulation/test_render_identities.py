@@ -8,14 +8,14 @@ import pytest
 from vntoolkit.geometry.mesh import vertex_normals
 from vntoolkit.geometry.rays import RayScene
 from vntoolkit.geometry.rigid import RigidTransform
+from vntoolkit.options.simulation import Lighting, Nuisances, RenderOptions, SceneOptions
 from vntoolkit.photometry.frame import ALL_LIT, lit_from_labels
 from vntoolkit.simulation.grids import grid_faces
 from vntoolkit.simulation.image_formation import true_response
-from vntoolkit.simulation.lights import Lighting, studio_camera, studio_centre, studio_lights
-from vntoolkit.simulation.nuisances import Nuisances
-from vntoolkit.simulation.render import Renderer, RenderOptions, frame_generator, render_frame
+from vntoolkit.simulation.lights import studio_camera, studio_centre, studio_lights
+from vntoolkit.simulation.render import Renderer, frame_generator, render_frame
 from vntoolkit.simulation.rigid.sphere import ball_mesh
-from vntoolkit.simulation.scene import Detail, Scene, SceneOptions, SceneSurface, build_scene
+from vntoolkit.simulation.scene import Detail, Scene, SceneSurface, build_scene
 
 SINGLE = RenderOptions(samples=1)
 SMALL = SceneOptions(width=160, height=120)

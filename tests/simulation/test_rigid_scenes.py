@@ -10,10 +10,10 @@ import pytest
 from vntoolkit.errors import BadInput, BadMesh
 from vntoolkit.geometry.board_layout import MARKER_DICTIONARY, BoardLayout
 from vntoolkit.geometry.rays import RayScene
-from vntoolkit.simulation.nuisances import Nuisances, nuisance_names
-from vntoolkit.simulation.render import Renderer, RenderOptions, frame_generator, render_frame
+from vntoolkit.options.simulation import Nuisances, RenderOptions, SceneOptions, nuisance_names
+from vntoolkit.simulation.render import Renderer, frame_generator, render_frame
 from vntoolkit.simulation.rigid.gel import BALL_RADIUS_M, dent
-from vntoolkit.simulation.scene import SCENES, SceneOptions, build_scene
+from vntoolkit.simulation.scene import SCENES, build_scene
 
 MINE = ("sphere", "cylinder", "board", "jacket")
 
@@ -154,6 +154,11 @@ def test_a_frame_beyond_the_end_and_another_topology_are_refused():
 def test_scene_without_a_frame_is_refused():
     with pytest.raises(BadInput, match="at least one frame"):
         replace(build_scene("sphere", SceneOptions()), frame_count=0)
+
+
+def test_a_sample_of_no_scene_is_refused():
+    with pytest.raises(BadInput, match="no scene 'cheese' to take a sample from"):
+        build_scene("board", SceneOptions(sample="cheese"))
 
 
 def test_registered_scenes_exist():

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from vntoolkit.options.simulation import Nuisances
 from vntoolkit.photometry.transfer import Transfer, linear_from_integers
 from vntoolkit.simulation.nuisances import (
-    Nuisances,
     blurred,
     expose,
     mosaic_from_rgb,

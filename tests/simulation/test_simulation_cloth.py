@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from recipes.scene_shapes import sew_sweater
 from vntoolkit.geometry.mesh import edges_from_faces
-from vntoolkit.simulation.garment.pattern import sew_sweater
+from vntoolkit.options.simulation import SceneOptions
 from vntoolkit.simulation.garment.solver import AIR_DRAG, Capsules, ClothSolver
 from vntoolkit.simulation.garment.sweater import (
     DancingGarment,
@@ -14,7 +15,6 @@ from vntoolkit.simulation.garment.sweater import (
     loop_subdivision,
     raise_along_normals,
 )
-from vntoolkit.simulation.scene import SceneOptions
 
 COARSE_M = 0.03
 THICK_M = 0.02
@@ -95,7 +95,7 @@ def test_cloth_in_the_air_falls_as_drag_lets_it() -> None:
 
 @pytest.fixture(scope="module")
 def danced() -> tuple[DancingGarment, list[np.ndarray], list[float]]:
-    garment = DancingGarment(3, COARSE_M, THICK_M)
+    garment = DancingGarment(3, sew_sweater(COARSE_M), THICK_M)
     cages, energies = [], []
     for frame in range(60):
         cages.append(garment.cage(frame))
@@ -135,10 +135,10 @@ def test_the_same_seed_dances_the_same_and_another_does_not(
     danced: tuple[DancingGarment, list[np.ndarray], list[float]],
 ) -> None:
     garment, cages, _ = danced
-    again = DancingGarment(3, COARSE_M, THICK_M)
+    again = DancingGarment(3, sew_sweater(COARSE_M), THICK_M)
     for frame in (4, 6, 5):  # an earlier frame starts again
         assert np.array_equal(again.cage(frame), cages[frame])
-    other = DancingGarment(4, COARSE_M, THICK_M)
+    other = DancingGarment(4, sew_sweater(COARSE_M), THICK_M)
     assert not np.allclose(garment.body(0).ends, other.body(0).ends)
 
 

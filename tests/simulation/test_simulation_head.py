@@ -5,28 +5,32 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from recipes.scene_shapes import MOUTH_HEIGHT, NECK_CUT, cut_slit, gradient, sculpt_head, signed_distance
 from vntoolkit.geometry.mesh import vertex_normals
-from vntoolkit.simulation.body.spandex import build_spandex
-from vntoolkit.simulation.head import anatomy, scenes
-from vntoolkit.simulation.head.anatomy import Head, build_head, cut_slit
+from vntoolkit.options.simulation import SceneOptions
+from vntoolkit.simulation.head import rig as parts
+from vntoolkit.simulation.head import scenes
 from vntoolkit.simulation.head.rig import (
     Expression,
+    Head,
     HeadPose,
     HeadRig,
+    Makeup,
     performance_at,
+    read_head,
     seam_lines_px,
     turning_pose,
 )
-from vntoolkit.simulation.head.scenes import Makeup, build_face_makeup
-from vntoolkit.simulation.head.sculpture import MOUTH_HEIGHT, NECK_CUT, sculpt_head
-from vntoolkit.simulation.scene import Scene, SceneOptions
+from vntoolkit.simulation.head.scenes import build_face_makeup
+from vntoolkit.simulation.scene import Scene
+from vntoolkit.simulation.spandex import build_spandex
 
 STILL = HeadPose()
 
 
 @pytest.fixture(scope="module")
 def head() -> Head:
-    return build_head()
+    return read_head()
 
 
 @pytest.fixture(scope="module")
@@ -48,8 +52,8 @@ def eye_gap(head: Head, points: np.ndarray, eye: int) -> float:
 def test_the_sculpture_is_symmetric(rng: np.random.Generator) -> None:
     points = rng.uniform([-9, -15, -11], [9, 12, 12], (4000, 3))
     body = sculpt_head()
-    there = body.signed_distance(points)
-    mirrored = body.signed_distance(points * [-1, 1, 1])
+    there = signed_distance(body, points)
+    mirrored = signed_distance(body, points * [-1, 1, 1])
     near = np.abs(there) < 0.3
     np.testing.assert_allclose(there[near], mirrored[near], atol=0.02)  # blending depends on the order
 
@@ -63,7 +67,7 @@ def test_landmarks_mirror_each_other(head: Head) -> None:
 
 
 def test_the_head_has_human_measures(head: Head) -> None:
-    skin = head.vertices[head.part == anatomy.SKIN]
+    skin = head.vertices[head.part == parts.SKIN]
     face = skin[(np.abs(skin[:, 0]) < 0.3) & (skin[:, 2] > 4.0)]
     chin = face[face[:, 2] > 7.0][:, 1].min()
     assert 20.0 < skin[:, 1].max() - chin < 25.0  # centimetres from chin to crown
@@ -74,19 +78,19 @@ def test_the_head_has_human_measures(head: Head) -> None:
 
 
 def test_normals_of_the_skin_point_outwards(head: Head) -> None:
-    skin = (head.part == anatomy.SKIN) & (head.hair == 0.0)
-    gradient = sculpt_head().gradient(head.vertices[skin], 0.05)
+    skin = (head.part == parts.SKIN) & (head.hair == 0.0)
+    outwards = gradient(sculpt_head(), head.vertices[skin], 0.05)
     normals = vertex_normals(head.vertices, head.faces)[skin]
-    assert (np.sum(gradient * normals, axis=1) > 0).mean() > 0.995
+    assert (np.sum(outwards * normals, axis=1) > 0).mean() > 0.995
 
 
 def test_the_skin_is_open_at_the_neck_alone(head: Head) -> None:
-    with_pocket = np.isin(head.part[head.faces].max(axis=1), (anatomy.SKIN, anatomy.CAVITY, anatomy.LID_RIM))
+    with_pocket = np.isin(head.part[head.faces].max(axis=1), (parts.SKIN, parts.CAVITY, parts.LID_RIM))
     faces = head.faces[with_pocket]
     directed = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     edges, uses = np.unique(np.sort(directed, axis=1), axis=0, return_counts=True)
     open_ends = np.unique(edges[uses == 1])
-    behind_lids = head.part[open_ends] == anatomy.LID_RIM
+    behind_lids = head.part[open_ends] == parts.LID_RIM
     assert np.all(head.vertices[open_ends[~behind_lids], 1] < NECK_CUT + 0.5)
     assert np.count_nonzero(uses > 2) <= 4  # surface nets pinch at a few places in nostrils and ears
 
@@ -167,10 +171,10 @@ def test_freckles_stand_out_most_in_blue(rng: np.random.Generator) -> None:
 
 
 def test_makeup_is_one_colour_over_the_skin(head: Head, rng: np.random.Generator) -> None:
-    colours = scenes.vertex_colours(head, Makeup.UNIFORM)
-    skin = (head.part == anatomy.SKIN) & (head.hair == 0.0)
+    colours = head.colours[Makeup.UNIFORM]
+    skin = (head.part == parts.SKIN) & (head.hair == 0.0)
     np.testing.assert_allclose(colours[skin], np.broadcast_to(colours[skin][0], colours[skin].shape))
-    bare = scenes.vertex_colours(head, Makeup.NONE)[skin]
+    bare = head.colours[Makeup.NONE][skin]
     assert bare.std(axis=0).min() > 0.01
     texture = scenes.skin_texture(rng, Makeup.UNIFORM)
     np.testing.assert_allclose(texture[300:600, 1000:1050], 1.0)  # chin to brow, midline
@@ -178,7 +182,7 @@ def test_makeup_is_one_colour_over_the_skin(head: Head, rng: np.random.Generator
 
 def test_texture_coordinates_do_not_wrap_across_a_face(head: Head) -> None:
     uv = scenes.corner_uv(head)
-    skin = (head.part[head.faces] == anatomy.SKIN).all(axis=1)
+    skin = (head.part[head.faces] == parts.SKIN).all(axis=1)
     away_from_pole = head.vertices[head.faces, 1].max(axis=1) < 10.0
     assert np.ptp(uv[skin & away_from_pole, :, 0], axis=1).max() < 0.1
     assert uv[..., 1].min() >= 0.0
@@ -214,7 +218,7 @@ def face() -> Scene:
 
 def loops_px(face: Scene, frame: int) -> list[np.ndarray]:
     """Return the closed loops of mouth, left eye and right eye, each (k, 2) pixels."""
-    head, vertices = build_head(), face.vertices(frame)
+    head, vertices = read_head(), face.vertices(frame)
     return [face.camera.project(vertices[slit.loop]) for slit in (head.mouth, *head.eyes)]
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from vntoolkit.errors import BadInput
+from vntoolkit.options.simulation import Lighting, Nuisances, SceneOptions
 from vntoolkit.simulation.image_formation import (
     exposure_of_scene,
     light_colour,
@@ -16,7 +17,6 @@ from vntoolkit.simulation.image_formation import (
 from vntoolkit.simulation.lights import (
     CAMERA_DISTANCE_M,
     WAVELENGTHS_NM,
-    Lighting,
     Lights,
     camera_sensitivities,
     coloured_lamps,
@@ -25,8 +25,7 @@ from vntoolkit.simulation.lights import (
     studio_lights,
     white_lamp,
 )
-from vntoolkit.simulation.nuisances import Nuisances
-from vntoolkit.simulation.scene import SceneOptions, build_scene
+from vntoolkit.simulation.scene import build_scene
 
 ONE = np.ones_like(WAVELENGTHS_NM)
 

@@ -8,16 +8,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
+from recipes.walk_motion import walking_motion
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.mesh import Mesh, MeshSequence
-from vntoolkit.skinning.clock import (
-    ClockOptions,
-    Loop,
-    clock_from_recordings,
-    resampled_motion,
-    resampled_vertices,
-)
-from vntoolkit.skinning.gait import GaitOptions, walking_motion
+from vntoolkit.options.dressing import ClockOptions, Loop
+from vntoolkit.skinning.clock import clock_from_recordings, resampled_motion, resampled_vertices
 
 
 def cloth(frames: int, rate: float = 60.0) -> MeshSequence:
@@ -29,7 +24,7 @@ def cloth(frames: int, rate: float = 60.0) -> MeshSequence:
 
 
 def test_capture_at_60_meets_motion_at_120() -> None:
-    motion = walking_motion(GaitOptions(strides=1, frame_rate_hz=120))
+    motion = walking_motion(strides=1, frame_rate_hz=120)
     clock = clock_from_recordings(cloth(31), motion, ClockOptions())
     assert clock.frame_rate_hz == 60
     assert len(clock) == 31
@@ -39,7 +34,7 @@ def test_capture_at_60_meets_motion_at_120() -> None:
 
 
 def test_between_frames_rotations_follow_the_great_arc() -> None:
-    motion = walking_motion(GaitOptions(strides=1, frame_rate_hz=30))
+    motion = walking_motion(strides=1, frame_rate_hz=30)
     flipped = replace(
         motion, rotations=motion.rotations * np.where(np.arange(len(motion)) % 2, -1, 1)[:, None, None]
     )
@@ -89,7 +84,7 @@ def test_refusals() -> None:
 @pytest.mark.parametrize(("rate", "frames"), [(24.0, 8), (29.97, 10), (60.0, 17)])
 def test_a_repeated_cloth_shows_every_frame_once_a_round(rate: float, frames: int) -> None:
     """Whole rounds in seconds do not come out even in floating point."""
-    motion = walking_motion(GaitOptions(strides=4, frame_rate_hz=rate))
+    motion = walking_motion(strides=4, frame_rate_hz=rate)
     options = ClockOptions(loop=Loop.REPEAT)
     clock = clock_from_recordings(cloth(frames, rate), motion, options)
     expected = np.arange(len(clock)) % frames

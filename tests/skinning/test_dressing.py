@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from recipes.walk_motion import walking_motion
 from tests.result_files import write_mesh_sequence
 from tests.usd_reading import read_usd_sequence
 from vntoolkit.__main__ import main
@@ -18,13 +19,17 @@ from vntoolkit.geometry.motion import Motion, Skeleton, bone_segments, pose_of_f
 from vntoolkit.geometry.rigid import RigidTransform
 from vntoolkit.io.maps_and_meshes.meshes import read_mesh
 from vntoolkit.io.motion.bvh import write_bvh
-from vntoolkit.pipeline.dress import DressedFigure, DressOptions, MotionUpAxis, dress, read_motion
-from vntoolkit.skinning.alignment import Anchor
+from vntoolkit.options.dressing import (
+    Anchor,
+    Blend,
+    ClockOptions,
+    DressOptions,
+    Garment,
+    GarmentFitOptions,
+    MotionUpAxis,
+)
+from vntoolkit.pipeline.dress import DressedFigure, dress, read_motion
 from vntoolkit.skinning.anatomy import anatomy_of, facing_of, shoulders_of
-from vntoolkit.skinning.blending import Blend
-from vntoolkit.skinning.clock import ClockOptions
-from vntoolkit.skinning.fitting import Garment, GarmentFitOptions
-from vntoolkit.skinning.gait import walking_motion
 
 WALK = Path(__file__).parents[2] / "data" / "walk.bvh"
 
@@ -97,7 +102,7 @@ def test_the_walk_that_the_package_ships_is_found_anywhere(tmp_path, monkeypatch
 def test_an_installed_package_holds_the_walk_in_itself(tmp_path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     write_bvh(Path("site/vntoolkit/data/walk.bvh"), walking_motion())
-    monkeypatch.setattr("vntoolkit.__file__", str(tmp_path / "site/vntoolkit/__init__.py"))
+    monkeypatch.setattr("vntoolkit.shipped._FOLDERS", (Path("site/data"), Path("site/vntoolkit/data")))
     assert len(read_motion("data/walk.bvh").root_positions) == len(walking_motion().root_positions)
 
 
@@ -249,22 +254,8 @@ def test_command_line_writes_every_format(tmp_path: Path, moving_jumper: MeshSeq
     fit.write_text('{"version": 1, "scale": 1.05}')
     common = ["dress", str(tmp_path / "capture"), "--motion", str(WALK)]
     out = tmp_path / "out"
-    assert (
-        main(
-            [
-                *common,
-                "--out",
-                str(out / "a.usdc"),
-                "--fit",
-                str(fit),
-                "--falloff",
-                "continuous",
-                "--carrier",
-                "cache",
-            ]
-        )
-        == 0
-    )
+    by_distance = ["--fit", str(fit), "--falloff", "inverse", "--carrier", "cache"]
+    assert main([*common, "--out", str(out / "a.usdc"), *by_distance]) == 0
     assert "30 frames of 2304 vertices" in capsys.readouterr().out
     assert main([*common, "--out", str(out / "a.glb"), "--stop", "0.1", "--blend", "dual-quaternion"]) == 0
     assert main([*common, "--out", str(out / "a_%03d.ply"), "--stop", "0.05", "--loop", "ping-pong"]) == 0
@@ -291,6 +282,9 @@ def test_command_line_writes_every_format(tmp_path: Path, moving_jumper: MeshSeq
         (["--motion", str(WALK), "--out", "a.ply"], "one place for the frame number"),
         (["--motion", str(WALK), "--out", "a.usdc", "--start", "100"], "nothing lies between"),
         (["--motion", str(WALK), "--out", "a.usdc", "--fullness", "-1"], "fullness: expected a positive"),
+        (["--motion", str(WALK), "--out", "a.usdc", "--distance-power", "2"], "take --falloff heat"),
+        (["--motion", str(WALK), "--out", "a.usdc", "--falloff", "continuous"], '"heat", "inverse"'),
+        (["--motion", str(WALK), "--out", "a.usdc", "--garment", "jacket"], '"sweater", "sleeveless"'),
     ],
 )
 def test_command_line_refuses_in_one_line(

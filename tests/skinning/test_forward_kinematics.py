@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from recipes.walk_motion import walking_motion
 from vntoolkit.errors import BadMotion
 from vntoolkit.geometry.motion import Motion, Skeleton, bone_segments, forward_kinematics, pose_of_frame
 from vntoolkit.io.motion.asf import read_asf_amc
 from vntoolkit.io.motion.bvh import read_bvh, write_bvh
-from vntoolkit.skinning.gait import walking_motion
 
 DISK_FROM_MEMORY = np.array([1.0, -1.0, -1.0])
 OF_HEIGHT = 1e-6

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from recipes.walk_motion import walking_motion
 from vntoolkit.errors import BadMesh, CannotWrite
 from vntoolkit.geometry.mesh import Mesh, MeshSequence
 from vntoolkit.io.maps_and_meshes import glb
 from vntoolkit.io.maps_and_meshes.glb import write_glb
 from vntoolkit.pipeline.dress import dress, write_dressed_figure
-from vntoolkit.skinning.gait import walking_motion
 
 COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 KINDS = {5126: np.float32, 5125: np.uint32, 5123: np.uint16}

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from recipes.walk_motion import walking_motion
 from tests.result_files import write_mesh_sequence
 from tests.skinning.conftest import tube
 from vntoolkit.__main__ import main
@@ -18,13 +19,20 @@ from vntoolkit.geometry.mesh import Mesh, MeshSequence, vertex_normals
 from vntoolkit.geometry.motion import Motion, Skeleton, bone_segments, pose_of_frame, rest_pose
 from vntoolkit.geometry.rigid import RigidTransform
 from vntoolkit.io.motion.bvh import write_bvh
-from vntoolkit.pipeline.dress import DressedFigure, DressOptions, dress, read_motion
+from vntoolkit.options.dressing import (
+    ArmPose,
+    Blend,
+    ClockOptions,
+    DressOptions,
+    Falloff,
+    GarmentFitOptions,
+    Loop,
+    WeightOptions,
+)
+from vntoolkit.pipeline.dress import DressedFigure, dress, read_motion
 from vntoolkit.skinning.attachment import covered_bones, weights_of_garment
-from vntoolkit.skinning.blending import Blend, skinned_vertices
-from vntoolkit.skinning.clock import ClockOptions, Loop
-from vntoolkit.skinning.fitting import ArmPose, GarmentFitOptions
-from vntoolkit.skinning.gait import walking_motion
-from vntoolkit.skinning.weights import Falloff, WeightOptions, weights_from_distances
+from vntoolkit.skinning.blending import skinned_vertices
+from vntoolkit.skinning.weights import weights_from_distances
 
 HEAT = WeightOptions()
 PUBLISHED = WeightOptions(falloff=Falloff.INVERSE)
@@ -255,8 +263,6 @@ def test_normals_decide_which_side_is_within(jumper: Mesh) -> None:
 def test_refusals() -> None:
     with pytest.raises(BadInput, match="max stretch: expected a factor above 1"):
         DressOptions(max_stretch=1.0)
-    with pytest.raises(BadInput, match="weights by heat have none"):
-        WeightOptions(distance_power=2.0)
     skeleton = walking_motion().skeleton
     with pytest.raises(BadInput, match="use `weights_of_garment`"):
         weights_from_distances(np.zeros((1, 3)), skeleton, rest_pose(skeleton), HEAT)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from recipes.walk_motion import walking_motion
 from vntoolkit.geometry.mesh import Mesh, MeshSequence
 from vntoolkit.io.footage.images import read_image
 from vntoolkit.pipeline.dress import dress
@@ -17,7 +18,6 @@ from vntoolkit.report.mesh_views import (
     turntable,
     write_preview,
 )
-from vntoolkit.skinning.gait import walking_motion
 
 
 def test_picture_shows_left_right_up_and_near() -> None:

@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from recipes.walk_motion import walking_motion
 from tests.result_files import write_mesh_sequence
 from tests.skinning.test_heat_weights import of_arms, raised_arms, sheet_seen_from_the_front
 from vntoolkit.__main__ import main
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.mesh import Mesh, MeshSequence, edges_from_faces
 from vntoolkit.geometry.motion import Motion, pose_of_frame
-from vntoolkit.pipeline.dress import DressedFigure, DressOptions, dress
+from vntoolkit.options.dressing import DressOptions, Garment, GarmentFitOptions
+from vntoolkit.pipeline.dress import DressedFigure, dress
 from vntoolkit.skinning.anatomy import anatomy_of, arms_of
 from vntoolkit.skinning.findings import DressingFindings
-from vntoolkit.skinning.fitting import Garment, GarmentFitOptions
-from vntoolkit.skinning.gait import walking_motion
 from vntoolkit.skinning.sleeves import regions_of_garment
 from vntoolkit.skinning.stretch import drawn_together
 
@@ -158,7 +158,7 @@ def test_each_kind_is_worn_on_its_own_bones() -> None:
     vest = relief(0.4, 0.7, [([0.0, 0.0], [0.0, 0.6], 0.2, 0.2)])
     dressed = worn(vest, Garment.SLEEVELESS)
     assert of_arms(dressed).max() == 0
-    for kind, cloth in ((Garment.SHIRT, vest), (Garment.TROUSERS, skirt)):
+    for kind, cloth in ((Garment.SWEATER, vest), (Garment.TROUSERS, skirt)):
         with pytest.raises(BadInput, match=f"{kind.value}: .* outline"):
             worn(cloth, kind)
 
@@ -265,3 +265,13 @@ def test_an_unknown_arm_is_asked_for_and_named(sheet: MeshSequence, tmp_path: Pa
     arguments = ["dress", str(tmp_path), "--motion", "data/walk.bvh", "--out", out, "--stop", "0.05"]
     assert main([*arguments, "--map", "left-upper-arm=LeftArm", "--map", "left-forearm=LeftForeArm"]) == 0
     assert "arm inside its sleeve" in capsys.readouterr().out
+
+
+def test_an_arm_is_called_outside_by_the_figure_that_is_printed() -> None:
+    for off, said in (
+        (1.04, "inside its sleeve (elbow at most 1.0"),
+        (1.06, "outside its sleeve (elbow at most 1.1"),
+    ):
+        none, off_axis = np.zeros(1), np.array([[[off, 0.0, 0.0]]])
+        findings = DressingFindings(stretched=none, torn=none, off_axis=off_axis, sides=(1,), short=(False,))
+        assert f"left arm {said} radii off its axis, frame 0)" in findings.sentence

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from pxr import Gf, Usd, UsdGeom, UsdShade, UsdSkel, UsdValidation
 
+from recipes.walk_motion import walking_motion
 from tests.skinning.test_heat_weights import raised_arms, sheet_seen_from_the_front
 from tests.usd_reading import read_usd_sequence
 from vntoolkit.errors import BadInput, BadMesh
@@ -17,7 +18,6 @@ from vntoolkit.geometry.motion import pose_of_frame
 from vntoolkit.io.maps_and_meshes import usd
 from vntoolkit.io.maps_and_meshes.usd import write_usd_meshes, write_usd_sequence
 from vntoolkit.pipeline.dress import dress, write_dressed_figure
-from vntoolkit.skinning.gait import walking_motion
 
 
 def complaints(path: Path) -> list[str]:

@@ -17,12 +17,12 @@ from vntoolkit.io.results.manifest import InputEntry, Manifest, read_manifest, w
 from vntoolkit.io.results.seams import read_seams, write_seams
 from vntoolkit.io.results.sequences import read_mesh_sequence
 from vntoolkit.io.rigs import entry_from_rig
+from vntoolkit.options.tracking import Tracker, TrackingOptions
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline.checkerboard import write_checkerboard
 from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.track import TrackJob, track
-from vntoolkit.tracking.options import Tracker, TrackingOptions
 
 FRAMES = 8
 

@@ -7,7 +7,7 @@ import pytest
 
 from tests.tracking.wrinkled_video import WrinkledVideo
 from vntoolkit.geometry.maps import DepthMap, NormalMap
-from vntoolkit.tracking.options import Tracker, TrackingOptions
+from vntoolkit.options.tracking import Tracker, TrackingOptions
 from vntoolkit.tracking.tracker import SurfaceTracker
 
 

@@ -6,7 +6,7 @@ intrinsics come from the same footage unless given.
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import cv2
@@ -17,8 +17,6 @@ from vntoolkit.calibration.board_detection import BoardSighting
 from vntoolkit.calibration.fit import (
     Design,
     ResponseFit,
-    ResponseFitOptions,
-    ResponseModel,
     cone_of_normals_deg,
     fit_by_trimming,
     fit_quality,
@@ -26,13 +24,13 @@ from vntoolkit.calibration.fit import (
 )
 from vntoolkit.calibration.lights import line_colour, three_lamps
 from vntoolkit.calibration.varying import VariationOptions, fit_varying_response
-from vntoolkit.checks import require_in_range, require_positive
-from vntoolkit.errors import BadCalibration, BadInput
+from vntoolkit.errors import BadCalibration
 from vntoolkit.geometry.board_layout import NORMAL_IN_BOARD, BoardLayout
 from vntoolkit.geometry.camera import Camera, CameraModel
 from vntoolkit.geometry.rigid import RigidTransform
 from vntoolkit.native import one_opencv_thread
-from vntoolkit.photometry.response import HIGHEST_DEGREE, rgb_from_normals
+from vntoolkit.options.calibration import BoardOptions, IntrinsicsOptions, ResponseModel
+from vntoolkit.photometry.response import rgb_from_normals
 
 logger = logging.getLogger(__name__)
 _FEWEST_POSES = 8
@@ -45,42 +43,6 @@ _DARK_SAMPLE = 0.05  # of the usual colour: no lamp is on
 _CONTRADICTS = 0.25  # of a colour: how far it is from M n where lamps are missing
 _MOST_OF = 0.8  # of the poses
 _NARROWEST_CONE_DEG = 8.0  # half-angle of the views: with less, focal length and distance are one unknown
-
-
-@dataclass(frozen=True, kw_only=True)
-class IntrinsicsOptions:
-    """Options of the camera fit.
-
-    radial_terms: coefficients of radial distortion, 0 to 2; higher ones follow noise where the corners
-    do not reach the image's edge. tangential: number of tangential coefficients, 0 or 2.
-    """
-
-    radial_terms: int = 1
-    tangential: int = 0
-
-    def __post_init__(self) -> None:
-        if self.radial_terms not in (0, 1, 2) or self.tangential not in (0, 2):
-            raise BadInput("intrinsics: expected 0 to 2 radial and 0 or 2 tangential terms")
-
-
-@dataclass(frozen=True, kw_only=True)
-class BoardOptions:
-    """Options of the calibration on a board.
-
-    largest_error_px: a frame whose corners miss their projection by more than this root mean square is left
-    out. degree: degree of the polynomials by which M varies over the image, as near lights make it, 0 (one M
-    for the whole image) to 3; more than 0 needs a board that was carried through the whole field. intrinsics:
-    how the camera is fitted where none is given. fit: how M is fitted.
-    """
-
-    largest_error_px: float = 1.0
-    degree: int = 0
-    intrinsics: IntrinsicsOptions = field(default_factory=IntrinsicsOptions)
-    fit: ResponseFitOptions = field(default_factory=ResponseFitOptions)
-
-    def __post_init__(self) -> None:
-        require_positive(self.largest_error_px, "board: largest error in pixels")
-        require_in_range(self.degree, 0, HIGHEST_DEGREE, "board: degree of the variation")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

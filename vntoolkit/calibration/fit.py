@@ -6,7 +6,6 @@ pairs: trimmed least squares, and MSAC.
 
 import logging
 from dataclasses import dataclass
-from enum import Enum
 from typing import Self
 
 import numpy as np
@@ -14,6 +13,7 @@ import numpy as np
 from vntoolkit.arrays import BoolArray, FloatArray, IntArray, Mask, Points, Points2
 from vntoolkit.checks import checks_kinds, require_finite, require_shape
 from vntoolkit.errors import BadCalibration, BadInput, BadRig
+from vntoolkit.options.calibration import FitMethod, ResponseFitOptions, ResponseModel
 from vntoolkit.photometry.response import LightResponse, scaled_normals_from_rgb
 from vntoolkit.photometry.rig import FitQuality
 
@@ -28,44 +28,6 @@ _NARROW_CONE_DEG = 20.0  # half-angle: narrower, a percent of noise in the colou
 _LARGE_CONDITION_NUMBER = 30.0
 _SHARE_IN_CONE = 95.0
 _DRAWS = 2000  # minimal samples of MSAC
-
-
-class ResponseModel(Enum):
-    """Unknowns of the fit."""
-
-    LINEAR = "linear"  # 3×3: r = M n
-    AMBIENT = "ambient"  # 3×4: r = M n + a
-
-
-class FitMethod(Enum):
-    """How outliers are left out."""
-
-    TRIMMED = "trimmed"  # least squares, repeated without shadow and outliers: few bad pairs
-    MSAC = "msac"  # minimal samples with a truncated cost: many bad pairs
-
-
-@dataclass(frozen=True, kw_only=True)
-class ResponseFitOptions:
-    """Options of the fit of a light response.
-
-    model: with or without ambient light. method: how outliers are left out. shadow_share: (trimmed) a pair
-    counts as shadowed if a channel's estimated contribution is at most this fraction of its largest; 0
-    keeps shadowed pairs. outlier_sigmas: (trimmed) pairs whose colour residual exceeds this many robust
-    standard deviations are outliers (gloss or cast shadow). inlier_share: (MSAC) largest
-    residual of an inlier, divided by the median length of the colours.
-    """
-
-    model: ResponseModel = ResponseModel.LINEAR
-    method: FitMethod = FitMethod.TRIMMED
-    shadow_share: float = 0.08
-    outlier_sigmas: float = 3.0
-    inlier_share: float = 0.08
-
-    def __post_init__(self) -> None:
-        if not 0 <= self.shadow_share < 1:
-            raise BadInput(f"shadow share: expected 0 to 1, got {self.shadow_share:g}")
-        if not (0 < self.outlier_sigmas < np.inf and 0 < self.inlier_share < np.inf):
-            raise BadInput("outlier sigmas and inlier share: expected positive numbers")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

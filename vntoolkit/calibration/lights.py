@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from enum import Enum
 from itertools import combinations, permutations
 
 import numpy as np
@@ -11,6 +10,7 @@ from vntoolkit.arrays import FloatArray, IntArray, Mask, Matrix3, Points, Vector
 from vntoolkit.calibration.fit import warn_of_weak_fit
 from vntoolkit.checks import require_finite, require_positive, require_same_size, require_shape
 from vntoolkit.errors import BadCalibration, BadRig
+from vntoolkit.options.calibration import LightColours
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.rig import FitQuality
@@ -28,13 +28,6 @@ _STEADY = 0.1  # change of strength while a lamp is on; a lamp that comes or goe
 _DARK = 0.2  # of the weakest lamp's strength: no lamp is on
 _MOST_CLUSTERS = 12
 _MOST_FRAMES = 1000  # whose colours are compared with each other
-
-
-class LightColours(Enum):
-    """Which colours the lights have."""
-
-    GIVEN = "given"  # each row of intensities is the light's red, green and blue
-    CHANNELS = "channels"  # light k alone is seen by channel k: three photographs stacked as one
 
 
 def response_from_lights(

@@ -19,7 +19,6 @@ where the response sees its ball, and the response is fitted again.
 import logging
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from enum import Enum
 
 import cv2
 import numpy as np
@@ -37,8 +36,9 @@ from vntoolkit.arrays import (
     Vector3,
 )
 from vntoolkit.calibration import fit as fits
-from vntoolkit.checks import require_positive, require_shape
-from vntoolkit.errors import BadCalibration, BadInput
+from vntoolkit.checks import require_shape
+from vntoolkit.errors import BadCalibration
+from vntoolkit.options.calibration import LabelOffset, PressOptions
 from vntoolkit.photometry import gel as gels
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.rig import FitQuality
@@ -63,46 +63,6 @@ _SOFT = np.deg2rad(8.0) / 2  # in s, half an angle: pairs with a larger residual
 _REWEIGHTINGS = 4
 _ERROR_GROUPS = 12  # of held-back pairs, by tilt: some hundreds in each after ten presses
 _REACH_PERCENTILE = 99.5  # of the lengths of m seen
-
-
-class LabelOffset(Enum):
-    """Whether the circles are used as they are, or moved so that ball and flat gel agree."""
-
-    COMMON = "common"  # by one offset for all, then each by its own
-    OWN = "own"  # each by its own, as for circles that were found in the pictures
-    NONE = "none"
-
-
-@dataclass(frozen=True, kw_only=True)
-class PressOptions:
-    """Options of the calibration on presses.
-
-    ball_radius_mm: radius of the ball. pixel_mm: side of a pixel on the gel. contact_share: share of the
-    labelled contact radius inside which the gel follows the ball. samples: pixels drawn from a press's
-    contact. flat_share: pixels drawn where the gel lies flat, over those of the contact; more make the
-    gel around a touch flatter and the ball less round. label_offset: whether the circles move to their dents.
-    outlier_sigmas: pixels whose colour differs from M's by more than this many robust standard
-    deviations (dots, creases) are left out of M's fit.
-    """
-
-    ball_radius_mm: float
-    pixel_mm: float
-    contact_share: float = 0.8
-    samples: int = 400
-    flat_share: float = 0.67
-    label_offset: LabelOffset = LabelOffset.COMMON
-    outlier_sigmas: float = 4.0
-
-    def __post_init__(self) -> None:
-        if not (0 < self.ball_radius_mm < np.inf and 0 < self.pixel_mm < np.inf):
-            raise BadInput("presses: expected a positive ball radius and pixel size in mm")
-        if not 0 < self.contact_share <= 1:
-            raise BadInput(f"presses: expected a contact share from 0 to 1, got {self.contact_share:g}")
-        if self.samples < 4:
-            raise BadInput(f"presses: expected at least 4 samples a press, got {self.samples}")
-        require_positive(self.outlier_sigmas, "presses: outlier sigmas")
-        if not 0 <= self.flat_share <= 10:
-            raise BadInput(f"presses: expected a flat share from 0 to 10, got {self.flat_share:g}")
 
 
 @dataclass(frozen=True, kw_only=True)

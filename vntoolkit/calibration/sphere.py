@@ -2,41 +2,26 @@
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
 from vntoolkit.arrays import BoolArray, Float32Array, Float64Array, FloatArray, Mask, Points2, Vector3
 from vntoolkit.calibration.ball_lamps import NEAREST_USUAL, LitBall, fit_lamps_to_ball
-from vntoolkit.calibration.fit import ResponseFit, ResponseFitOptions, angles_deg, fit_response
+from vntoolkit.calibration.fit import ResponseFit, angles_deg, fit_response
 from vntoolkit.calibration.lights import with_light_colours
 from vntoolkit.checks import require_mask, require_shape, require_some
-from vntoolkit.errors import BadCalibration, BadInput
+from vntoolkit.errors import BadCalibration
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import NormalMap
+from vntoolkit.options.calibration import SphereOptions
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import with_near_lamps
 
 logger = logging.getLogger(__name__)
 _LEVELS = (0.03, 0.06, 0.12, 0.25, 0.5)  # of the brightest: low for a dark side, high for a grey wall
 _SMALLEST_ARC = 0.4  # of the full circle that must be seen
-
-
-@dataclass(frozen=True, kw_only=True)
-class SphereOptions:
-    """Options of the calibration on a ball.
-
-    rim_share: outer share of the ball's radius that is left out, where a pixel of error in the outline turns
-    the normal by tens of degrees. fit: how M is fitted.
-    """
-
-    rim_share: float = 0.02
-    fit: ResponseFitOptions = field(default_factory=ResponseFitOptions)
-
-    def __post_init__(self) -> None:
-        if not 0 <= self.rim_share < 0.5:
-            raise BadInput(f"rim share: expected 0 to 0.5, got {self.rim_share:g}")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -1,9 +1,11 @@
 """Floor 4, the command line: a verb's file is imported only when the verb is called.
 
-A verb reads its options (the frozen dataclasses of the stages), calls `pipeline`, `live`, `report` or a
-stage, and prints what it wrote. It contains no algorithm.
+A verb is one typed function (`verb.py`): its argument class, composed of the option classes, is the command
+line and the Python call. It calls `pipeline`, `live`, `report` or a stage, and returns what came of it. Its
+command prints. Neither contains an algorithm.
 """
 
+import math
 from collections.abc import Sequence
 from enum import Enum
 from typing import Any
@@ -11,7 +13,7 @@ from typing import Any
 from cyclopts import App, Parameter
 
 from vntoolkit import __version__
-from vntoolkit.cli.flags import require_finite, require_new_outputs
+from vntoolkit.cli.removed import require_no_removed
 
 # verb -> the line that `vntoolkit --help` shows
 VERBS: dict[str, str] = {
@@ -51,11 +53,18 @@ GROUPS: dict[str, str] = {
     "evaluate": "Compare results with ground truth.",
 }
 
-# verb -> module and function, where these are not the first and the last word of its name
-_ELSEWHERE = {
-    "rectify": "calibrate:rectify",
+# verb -> function of the command, where it is not named as the last word of the verb
+_COMMANDS = {
+    "rectify": "calibrate:rectify_command",
     "data": "schema:data",
-    "dress": "dress:run",
+    "demo": "demo:demo_command",
+    "simulate": "simulate:simulate_command",
+    "reconstruct": "reconstruct:reconstruct_command",
+    "track": "track:track_command",
+    "session": "session:session_command",
+    "view": "view:view_command",
+    "export": "export:export_command",
+    "dress": "dress:dress_command",
     "recipe list": "recipe:list_",
 }
 
@@ -105,7 +114,7 @@ def build_app(arguments: Sequence[str] = ()) -> App:
         help="Normals, depth and moving meshes from video under three coloured lights.",
         version=__version__,
         help_format="markdown",
-        default_parameter=Parameter(show_default=_shown_default, validator=require_finite),
+        default_parameter=Parameter(show_default=shown_default, validator=require_finite),
         result_action="return_value",
         exit_on_error=False,
         print_error=False,
@@ -117,7 +126,7 @@ def build_app(arguments: Sequence[str] = ()) -> App:
     }
     for verb, line in VERBS.items():
         *group, name = verb.split()
-        target = f"vntoolkit.cli.{_ELSEWHERE.get(verb, f'{verb.split()[0]}:{name}')}"
+        target = f"vntoolkit.cli.{_COMMANDS.get(verb, f'{verb.split()[0]}:{name}')}"
         shown = None if list(arguments[: len(group) + 1]) == verb.split() else line
         parent = groups[group[0]] if group else app
         parent.command(target, name=name, help=shown, help_epilogue=f"Example: `{EXAMPLES[verb]}`")
@@ -127,17 +136,25 @@ def build_app(arguments: Sequence[str] = ()) -> App:
 
 
 def run_verb(arguments: Sequence[str]) -> Any:
-    """Run what was typed, once it is sure that no output is an input; return what the verb does."""
-    app = build_app(arguments)
-    verb, bound, _ = app.parse_args(arguments, exit_on_error=False, print_error=False)
-    require_new_outputs(bound)
-    return verb(*bound.args, **bound.kwargs)
+    """Run what was typed; return what the command does. A flag that was removed is answered by a line."""
+    require_no_removed(*arguments)
+    command, bound, _ = build_app(arguments).parse_args(arguments, exit_on_error=False, print_error=False)
+    return command(*bound.args, **bound.kwargs)
 
 
-def _shown_default(value: Any) -> str | None:
+def require_finite(_kind: Any, value: Any) -> None:
+    """Refuse NaN and infinity in every flag."""
+    numbers = value if isinstance(value, tuple | list) else (value,)
+    if any(isinstance(number, float) and not math.isfinite(number) for number in numbers):
+        raise ValueError("Expected a finite number.")
+
+
+def shown_default(value: Any) -> str | None:
     """Return the text of a default in `--help`; None for empty defaults."""
     if value is None or value is False or value in ("", ()):
         return None
+    if value == "::":
+        return "all"  # frames
     if isinstance(value, Enum):
         return value.name.lower().replace("_", "-")
     return str(value)

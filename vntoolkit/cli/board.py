@@ -1,31 +1,41 @@
 """`vntoolkit board`: write the calibration board as a PDF."""
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
 
-from vntoolkit.cli.flags import Flags, verb
 from vntoolkit.cli.output import print_next
+from vntoolkit.cli.verb import command, verb
 from vntoolkit.geometry.board_layout import BoardLayout
-from vntoolkit.io.board_pdf import PageSize, write_board_pdf
+from vntoolkit.io.board_pdf import write_board_pdf
+from vntoolkit.options.base import File, Named, Options, named
+from vntoolkit.options.pages import PageSize, PageSizeName
 
 
-@verb()
-def board(
-    *, out: Path, page: PageSize = PageSize.A4, layout: Annotated[BoardLayout | None, Flags()] = None
-) -> None:
-    """Draw the calibration board to scale, with a scale bar and instructions.
+@dataclass(frozen=True, kw_only=True)
+class BoardArguments(Options, BoardLayout):
+    """What `write_board` takes."""
 
-    Parameters
-    ----------
-    out
-        The PDF to write.
-    page
-        Size of the paper.
-    """
-    drawn = layout or BoardLayout()
-    write_board_pdf(out, drawn, page)
+    out: File
+    """The PDF to write."""
+    page: Named[PageSize, PageSizeName] = named(PageSize.A4)
+    """Size of the paper."""
+
+
+@verb(BoardArguments)
+def write_board(asked: BoardArguments) -> Path:
+    """Draw the calibration board to scale, with a scale bar and instructions."""
+    out = Path(asked.out)
+    write_board_pdf(out, asked.part(BoardLayout), asked.page)
+    return out
+
+
+@command(write_board)
+def board(asked: BoardArguments) -> None:
+    """Draw the board and print what comes next."""
+    out = Path(asked.out)
+    write_board_pdf(out, asked.part(BoardLayout), asked.page)
     print(
-        f"{out}: {drawn.columns} × {drawn.rows} squares of {drawn.square_mm:g} mm on {page.name}; "
+        f"{out}: {asked.columns} × {asked.rows} squares of {asked.square_mm:g} mm on {asked.page.name}; "
         "print at 100 % and measure the scale bar"
     )
-    print_next("calibrate", "board", "board.mkv", "--square-mm", f"{drawn.square_mm:g}", "--out", "rig.json")
+    print_next("calibrate", "board", "board.mkv", "--square-mm", f"{asked.square_mm:g}", "--out", "rig.json")

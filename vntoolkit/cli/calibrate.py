@@ -1,105 +1,140 @@
 """`vntoolkit calibrate …`: fit a rig to footage of a calibration object and write rig.json."""
 
+import os
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, TypeAlias
+from typing import Any, ClassVar
 
 import numpy as np
-from cyclopts import Parameter
 
 from vntoolkit.calibration.ball_lamps import LitBall
-from vntoolkit.calibration.board import BoardOptions
+from vntoolkit.calibration.board import BoardCalibration
 from vntoolkit.calibration.fit import ResponseFit
-from vntoolkit.calibration.lights import LightColours
-from vntoolkit.calibration.presses import GelFit, PressOptions
-from vntoolkit.calibration.sphere import SphereOptions
-from vntoolkit.cli import flags
+from vntoolkit.calibration.presses import GelFit
+from vntoolkit.calibration.sphere import SphereCalibration
+from vntoolkit.cli.given import curve_from_text, rectification_from_corners, rig_with_corners
 from vntoolkit.cli.output import JSON, MESH, PAGE, PICTURE, ProgressBars, print_next, require_output
+from vntoolkit.cli.verb import command, verb
 from vntoolkit.diagnosis.checks import CHECK_NAMES
 from vntoolkit.diagnosis.finding import judge, require_known_checks
 from vntoolkit.diagnosis.rig_checks import check_lamps, check_residual
 from vntoolkit.diagnosis.transfer_match import check_transfer_of_samples
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.board_layout import BoardLayout
-from vntoolkit.io.footage.captures import CaptureOptions, open_capture
+from vntoolkit.geometry.rectification import Rectification
+from vntoolkit.io.footage.captures import Capture, CaptureOptions, open_capture
 from vntoolkit.io.footage.frame_range import FrameRange
-from vntoolkit.io.footage.mattes import MatteOptions
-from vntoolkit.io.footage.mosaics import SensorOptions
 from vntoolkit.io.maps_and_meshes.meshes import write_mesh
 from vntoolkit.io.rigs import read_rig, write_rig
+from vntoolkit.options.base import File, Named, OptionalFile, Source, as_path, named
+from vntoolkit.options.calibration import (
+    BoardOptions,
+    IntrinsicsOptions,
+    LightColours,
+    LightColoursName,
+    PressOptions,
+    ResponseFitOptions,
+    SphereOptions,
+)
+from vntoolkit.options.footage import MatteOptions, ReadingLimits, SensorOptions
+from vntoolkit.options.head import (
+    FollowOptions,
+    FusionOptions,
+    HeadOptions,
+    HullOptions,
+    LightOptions,
+    PoseOptions,
+    SampleOptions,
+    SilhouetteOptions,
+    StereoOptions,
+    TrackOptions,
+)
+from vntoolkit.options.shared import (
+    AllowOptions,
+    BackgroundOptions,
+    CornerOptions,
+    CurveOptions,
+    FrameOptions,
+)
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline import calibrate
 from vntoolkit.pipeline import calibrate_presses as pipeline
 from vntoolkit.pipeline.calibrate import CalibrationJob
-from vntoolkit.pipeline.calibrate_head import HeadOptions, calibrate_head
-
-_OF_LIGHTS = flags.Flags(without=("background", "single_light", "frames"))
-_FIT = flags.Flags(renamed={"method": "fit-method"})
-RigOut: TypeAlias = Annotated[Path, Parameter(help="The rig.json to write.")]
-SizePx: TypeAlias = Annotated[tuple[int, int] | None, Parameter(consume_multiple=True, negative=())]
+from vntoolkit.pipeline.calibrate_head import HeadCalibration
+from vntoolkit.pipeline.calibrate_head import calibrate_head as fit_head
 
 
 @dataclass(frozen=True, kw_only=True)
-class FootageFlags:
-    """What the calibrations ask of their footage.
+class FootageArguments(
+    FrameOptions, BackgroundOptions, CurveOptions, SensorOptions, AllowOptions, ReadingLimits
+):
+    """What the calibrations ask of their footage."""
 
-    camera: a rig.json whose camera is taken. Default: orthographic (sphere, lights), fitted to the same
-    footage (board), or of a focal length that is estimated from the turn, which is rough (head).
-    """
+    WITHOUT: ClassVar[tuple[str, ...]] = ("max_vertices",)
 
-    background: flags.AmbientImage = None
-    transfer: flags.Curve = None
-    sensor: SensorOptions = field(default_factory=SensorOptions)
-    camera: Path | None = None
-    focal_px: flags.FocalPx = None
-    single_light: flags.SingleLight = None
-    frames: flags.Frames = "::"
-    allow: flags.Allow = ()
+    out: File
+    """The rig.json to write."""
+    camera: OptionalFile = named(None)
+    """A rig.json whose camera is taken. Default: orthographic (sphere, lights), fitted to the same footage
+    (board), or of a focal length that is estimated from the turn, which is rough (head)."""
+    focal_px: float | None = None
+    """Focal length in pixels. Gives a pinhole camera; use it instead of --camera."""
+    single_light: tuple[Source, ...] | None = None
+    """Three photographs, each under one light alone: red, green, blue. Or one video, folder or pattern in
+    which each light is on alone for a while. They split M into its lights."""
 
     def job(self, source: str, **more: Any) -> CalibrationJob:
         """Return the calibration of this footage; more: further fields of it."""
         require_known_checks(self.allow, CHECK_NAMES)
-        as_given = ("background", "sensor", "camera", "focal_px", "allow")
+        require_output(Path(self.out), JSON)
         return CalibrationJob(
             source=source,
-            transfer=flags.curve_from_text(self.transfer),
-            single_light=self.single_light or (),
-            frames=FrameRange.from_text(self.frames),
-            **{name: getattr(self, name) for name in as_given},
+            background=as_path(self.background),
+            sensor=self.part(SensorOptions),
+            camera=self.camera,
+            focal_px=self.focal_px,
+            allow=self.allow,
+            transfer=curve_from_text(self.transfer),
+            single_light=tuple(map(str, self.single_light or ())),
+            frames=FrameRange.from_text(self.frames or "::"),
             **more,
         )
 
 
-@flags.verb("max_megapixels")
-def sphere(
-    source: str,
-    /,
-    *,
-    out: RigOut,
-    mask: Path | None = None,
-    matting: Annotated[MatteOptions | None, flags.Flags()] = None,
-    footage: Annotated[FootageFlags | None, flags.Flags()] = None,
-    options: Annotated[SphereOptions | None, _FIT] = None,
-) -> None:
-    """Calibrate on a matte ball of the subject's material, at rest under all lights, or one after the other.
+@dataclass(frozen=True, kw_only=True)
+class SphereArguments(FootageArguments, MatteOptions, SphereOptions, ResponseFitOptions):
+    """What `calibrate_sphere` takes."""
 
-    Parameters
-    ----------
-    source
-        A video, an image, a folder of images, or a pattern. Several frames are averaged.
-    mask
-        White where the ball is: an image, or a video, a folder or a pattern with a matte for each frame.
-        Default: the outline is detected.
-    """
-    job = (footage or FootageFlags()).job(source, mask=mask, matting=matting or MatteOptions())
-    require_output(out, JSON)
-    rig, result = calibrate.calibrate_sphere(job, options or SphereOptions())
+    source: Source = field(kw_only=False)
+    """A video, an image, a folder of images, or a pattern. Several frames are averaged."""
+    mask: OptionalFile = named(None)
+    """White where the ball is: an image, or a video, a folder or a pattern with a matte for each frame.
+    Default: the outline is detected."""
+
+
+def _sphere(asked: SphereArguments) -> tuple[Rig, CalibrationJob, SphereCalibration]:
+    job = asked.job(str(asked.source), mask=asked.mask, matting=asked.part(MatteOptions))
+    rig, result = calibrate.calibrate_sphere(job, asked.part(SphereOptions))
+    _keep(Path(asked.out), rig, job, result.fit)
+    return rig, job, result
+
+
+@verb(SphereArguments)
+def calibrate_sphere(asked: SphereArguments) -> Rig:
+    """Calibrate on a matte ball of the material, at rest under all lights, or one after the other."""
+    return _sphere(asked)[0]
+
+
+@command(calibrate_sphere)
+def sphere(asked: SphereArguments) -> None:
+    """Print the ball, the rig and the lamps."""
+    rig, _, result = _sphere(asked)
     (u, v), radius = result.outline.centre_px, result.outline.radius_px
-    _finish(out, rig, job, f"ball at ({u:.1f}, {v:.1f}), radius {radius:.1f} px", result.fit)
+    report_rig(Path(asked.out), rig, f"ball at ({u:.1f}, {v:.1f}), radius {radius:.1f} px")
     if result.lit is not None:
         _report_lamps(result.lit, rig.camera.is_perspective)
-    _print_what_is_next(out)
+    _print_what_is_next(asked.out)
 
 
 def _report_lamps(lit: LitBall, is_perspective: bool) -> None:
@@ -112,80 +147,92 @@ def _report_lamps(lit: LitBall, is_perspective: bool) -> None:
     print(f"  light of the room {f'{room} % of full scale' if lit.is_room_known else 'not told'}")
 
 
-@flags.verb("max_megapixels")
-def board(
-    source: str,
-    /,
-    *,
-    out: RigOut,
-    footage: Annotated[FootageFlags | None, flags.Flags()] = None,
-    layout: Annotated[BoardLayout | None, flags.Flags()] = None,
-    options: Annotated[BoardOptions | None, _FIT] = None,
-) -> None:
-    """Calibrate on the printed board, tilted in all directions, with the subject's material in its hole.
+@dataclass(frozen=True, kw_only=True)
+class BoardArguments(FootageArguments, BoardOptions, IntrinsicsOptions, ResponseFitOptions, BoardLayout):
+    """What `calibrate_board` takes."""
 
-    Parameters
-    ----------
-    source
-        A video, a folder of images, or a pattern.
-    """
-    job = (footage or FootageFlags()).job(source)
-    require_output(out, JSON)
+    source: Source = field(kw_only=False)
+    """A video, a folder of images, or a pattern."""
+
+
+def _board(asked: BoardArguments) -> tuple[Rig, BoardCalibration]:
+    job = asked.job(str(asked.source))
     with ProgressBars() as bars:
         rig, result = calibrate.calibrate_board(
-            job, layout or BoardLayout(), options or BoardOptions(), partial(bars.reach, "find the board")
+            job, asked.part(BoardLayout), asked.part(BoardOptions), partial(bars.reach, "find the board")
         )
+    _keep(Path(asked.out), rig, job, result.fit)
+    return rig, result
+
+
+@verb(BoardArguments)
+def calibrate_board(asked: BoardArguments) -> Rig:
+    """Calibrate on the printed board, tilted in all directions, with the subject's material in its hole."""
+    return _board(asked)[0]
+
+
+@command(calibrate_board)
+def board(asked: BoardArguments) -> None:
+    """Print the poses, the camera and the rig."""
+    rig, result = _board(asked)
     error = np.median([pose.error_px for pose in result.poses])
     focal = result.camera.matrix[0, 0]
     seen = f"{len(result.poses)} poses to {error:.2f} px, focal length {focal:.0f} px"
-    _finish(out, rig, job, seen, result.fit)
-    _print_what_is_next(out)
+    report_rig(Path(asked.out), rig, seen)
+    _print_what_is_next(asked.out)
 
 
-@flags.verb("max_megapixels")
-def lights(
-    source: Path,
-    /,
-    *,
-    out: RigOut,
-    like: str | None = None,
-    lights: Annotated[tuple[int, int, int], Parameter(consume_multiple=True, negative=())] = (0, 1, 2),
-    light_colours: LightColours = LightColours.CHANNELS,
-    footage: Annotated[FootageFlags | None, _OF_LIGHTS] = None,
-) -> None:
-    """Compute a rig from known light directions and strengths.
+@dataclass(frozen=True, kw_only=True)
+class LightsArguments(FootageArguments):
+    """What `calibrate_lights` takes."""
 
-    Parameters
-    ----------
-    source
-        A DiLiGenT folder (light_directions.txt, light_intensities.txt, filenames.txt), or a text file with a
-        line per light: x y z, or x y z red green blue. x right, y up, z towards the viewer.
-    like
-        Footage of the rig, which gives the image size. Default: the first image that the folder names.
-    lights
-        Numbers of the red, the green and the blue light, counted from 0.
-    light_colours
-        Use the intensities as the lights' colours, or assume that channel k sees only light k.
-    """
-    job = (footage or FootageFlags()).job(str(source))
-    require_output(out, JSON)
-    rig = calibrate.calibrate_lights(source, like, lights, light_colours, job)
-    _finish(out, rig, job, f"lights {lights[0]}, {lights[1]}, {lights[2]} of {source}")
-    _print_what_is_next(out)
+    WITHOUT: ClassVar[tuple[str, ...]] = ("max_vertices", "background", "single_light", "frames")
+
+    source: File = field(kw_only=False)
+    """A DiLiGenT folder (light_directions.txt, light_intensities.txt, filenames.txt), or a text file with a
+    line per light: x y z, or x y z red green blue. x right, y up, z towards the viewer."""
+    like: str | os.PathLike[str] | None = None
+    """Footage of the rig, which gives the image size. Default: the first image that the folder names."""
+    lights: tuple[int, int, int] = (0, 1, 2)
+    """Numbers of the red, the green and the blue light, counted from 0."""
+    light_colours: Named[LightColours, LightColoursName] = named(LightColours.CHANNELS)
+    """Use the intensities as the lights' colours, or assume that channel k sees only light k."""
 
 
-def _print_what_is_next(out: Path) -> None:
-    print_next("reconstruct", "capture.mkv", "--rig", out, "--out", "result")
+def _lights(asked: LightsArguments) -> Rig:
+    job = asked.job(str(asked.source))
+    like = None if asked.like is None else str(asked.like)
+    rig = calibrate.calibrate_lights(Path(asked.source), like, asked.lights, asked.light_colours, job)
+    _keep(Path(asked.out), rig, job)
+    return rig
 
 
-def _finish(out: Path, rig: Rig, job: CalibrationJob, seen: str, fit: ResponseFit | None = None) -> None:
-    """Write and report a rig; raise `FatalFinding` for one that its own lamps or samples contradict."""
+@verb(LightsArguments)
+def calibrate_lights(asked: LightsArguments) -> Rig:
+    """Compute a rig from known light directions and strengths."""
+    return _lights(asked)
+
+
+@command(calibrate_lights)
+def lights(asked: LightsArguments) -> None:
+    """Print the rig."""
+    rig = _lights(asked)
+    numbers = ", ".join(map(str, asked.lights))
+    report_rig(Path(asked.out), rig, f"lights {numbers} of {asked.source}")
+    _print_what_is_next(asked.out)
+
+
+def _print_what_is_next(out: File) -> None:
+    print_next("reconstruct", "capture.mkv", "--rig", str(out), "--out", "result")
+
+
+def _keep(out: Path, rig: Rig, job: CalibrationJob, fit: ResponseFit | None = None) -> None:
+    """Write a rig; raise `FatalFinding` for one that its own lamps or samples contradict."""
     findings = [*check_lamps(rig), *check_residual(rig)]
     if fit is not None:
         findings += check_transfer_of_samples(fit.normals, fit.rgb, rig.transfer)
     judge(findings, job.allow)
     write_rig(out, rig)
-    report_rig(out, rig, seen)
 
 
 def report_rig(out: Path, rig: Rig, seen: str) -> None:
@@ -217,57 +264,67 @@ def report_rig(out: Path, rig: Rig, seen: str) -> None:
         print("                    the lights lie further out where a channel sees several of them)")
 
 
-@flags.verb("max_megapixels")
-def head(
-    source: str,
-    /,
-    *,
-    out: RigOut,
-    footage: Annotated[FootageFlags | None, flags.Flags(without=("single_light",))] = None,
-    mesh: Path | None = None,
-    figure: Path | None = None,
-    report: Path | None = None,
-    options: Annotated[HeadOptions | None, flags.Flags(without=("neighbour_angles_deg",))] = None,
-) -> None:
+@dataclass(frozen=True, kw_only=True)
+class HeadArguments(
+    FootageArguments, HeadOptions, FollowOptions, SilhouetteOptions, TrackOptions, PoseOptions, HullOptions,
+    StereoOptions, FusionOptions, SampleOptions, LightOptions,
+):  # fmt: skip
+    """What `calibrate_head` takes."""
+
+    WITHOUT: ClassVar[tuple[str, ...]] = ("max_vertices", "single_light", "neighbour_angles_deg")
+
+    source: Source = field(kw_only=False)
+    """A video, a folder of images, or a pattern."""
+    mesh: OptionalFile = named(None)
+    """Also write the head's mesh, .ply or .obj, with normals and the skin's colour. Its length unit is the
+    distance to the camera. In .ply, `quality` is the angle in degrees that nine of ten normals stay
+    within."""
+    figure: OptionalFile = named(None)
+    """Also write a picture of tracks, shape, samples and lights, .png or .svg."""
+    report: OptionalFile = named(None)
+    """Also write a page about tracks, poses, shape, samples and lights, .html."""
+
+
+def _head(asked: HeadArguments) -> tuple[Rig, HeadCalibration]:
+    job = asked.job(str(asked.source))
+    for path, suffixes in ((asked.mesh, MESH), (asked.figure, PICTURE), (asked.report, PAGE)):
+        require_output(path, suffixes)
+    with ProgressBars() as bars:
+        rig, result = fit_head(job, asked.part(HeadOptions), bars.reach)
+    _keep(Path(asked.out), rig, job)
+    if asked.mesh is not None:
+        write_mesh(asked.mesh, result.mesh)
+    if asked.figure is not None:
+        from vntoolkit.report.head import write_head_figure
+
+        write_head_figure(asked.figure, job, result)
+    if asked.report is not None:
+        from vntoolkit.report.head import write_head_page
+
+        write_head_page(asked.report, job, rig, result)
+    return rig, result
+
+
+@verb(HeadArguments)
+def calibrate_head(asked: HeadArguments) -> Rig:
     """Calibrate on a bare head that turns fully left and right, with a fixed expression, in a dark room.
 
     60 to 120 frames are enough.
-
-    Parameters
-    ----------
-    source
-        A video, a folder of images, or a pattern.
-    mesh
-        Also write the head's mesh, .ply or .obj, with normals and the skin's colour. Its length unit
-        is the distance to the camera. In .ply, `quality` is the angle in degrees that nine of ten normals
-        stay within.
-    figure
-        Also write a picture of tracks, shape, samples and lights, .png or .svg.
-    report
-        Also write a page about tracks, poses, shape, samples and lights, .html.
     """
-    job = (footage or FootageFlags()).job(source)
-    for path, suffixes in ((out, JSON), (mesh, MESH), (figure, PICTURE), (report, PAGE)):
-        require_output(path, suffixes)
-    with ProgressBars() as bars:
-        rig, result = calibrate_head(job, options, bars.reach)
+    return _head(asked)[0]
+
+
+@command(calibrate_head)
+def head(asked: HeadArguments) -> None:
+    """Print the poses, the rig and the shape."""
+    rig, result = _head(asked)
     motion = result.motion
     seen = (
         f"{len(motion.camera_from_head)} poses over {motion.turn_deg:.0f} degrees, "
         f"{len(motion.point)} tracks to {motion.error_px:.2f} px"
     )
-    _finish(out, rig, job, seen)
-    if mesh is not None:
-        write_mesh(mesh, result.mesh)
-    if figure is not None:
-        from vntoolkit.report.head import write_head_figure
-
-        write_head_figure(figure, job, result)
-    if report is not None:
-        from vntoolkit.report.head import write_head_page
-
-        write_head_page(report, job, rig, result)
-    if job.camera is None and job.focal_px is None:
+    report_rig(Path(asked.out), rig, seen)
+    if asked.camera is None and asked.focal_px is None:
         print(f"  focal length      {motion.camera.matrix[0, 0]:.0f} px, estimated from the turn: rough")
     print(f"  samples agreeing  {result.light.inliers.mean():.0%}")
     if result.refined is not None:
@@ -276,80 +333,88 @@ def head(
         error = np.median(result.refined.error_percent)
         print(f"  shape             {error:.2f} % of its diagonal expected error, median")
     print("  time              " + ", ".join(f"{k} {s:.0f} s" for k, s in result.stage_seconds.items()))
-    _print_what_is_next(out)
+    _print_what_is_next(asked.out)
 
 
-@flags.verb("max_megapixels")
-def presses(
-    source: str,
-    /,
-    *,
-    out: RigOut,
-    background: Path,
-    options: Annotated[PressOptions, flags.Flags()],
-    labels: Path | None = None,
-    corners: flags.Corners = None,
-    size_mm: flags.SizeMm = None,
-    label_size: SizePx = None,
-    transfer: flags.Curve = None,
-    allow: flags.Allow = (),
-    sensor: flags.Sensor = None,
-) -> None:
+@dataclass(frozen=True, kw_only=True)
+class PressesArguments(CornerOptions, CurveOptions, AllowOptions, SensorOptions, PressOptions, ReadingLimits):
+    """What `calibrate_presses` takes."""
+
+    WITHOUT: ClassVar[tuple[str, ...]] = ("max_vertices",)
+
+    source: Source = field(kw_only=False)
+    """A folder or pattern of images, one for each press."""
+    out: File
+    """The rig.json to write."""
+    background: File
+    """Image of the untouched gel."""
+    labels: OptionalFile = named(None)
+    """Folder of text files, NAME.txt for NAME.jpg: u v contact_radius in pixels of the rectified image.
+    Default: the contact circles are found."""
+    label_size: tuple[int, int] | None = None
+    """Width and height of the image that the labels refer to; default: the rectified one."""
+
+
+def _presses(asked: PressesArguments) -> pipeline.PressCalibration:
+    require_known_checks(asked.allow, CHECK_NAMES)
+    require_output(Path(asked.out), JSON)
+    job = pipeline.PressJob(
+        source=str(asked.source),
+        background=Path(asked.background),
+        labels=asked.labels,
+        transfer=curve_from_text(asked.transfer),
+        sensor=asked.part(SensorOptions),
+        rectification=rectification_from_corners(asked.corners, asked.size_mm, asked.pixel_mm),
+        label_size=asked.label_size,
+        allow=asked.allow,
+    )
+    with ProgressBars() as bars:
+        result = pipeline.calibrate_presses(
+            job, asked.part(PressOptions), partial(bars.reach, "read presses")
+        )
+    judge([*result.findings, *check_lamps(result.rig), *check_residual(result.rig)], asked.allow)
+    write_rig(Path(asked.out), result.rig)
+    return result
+
+
+@verb(PressesArguments)
+def calibrate_presses(asked: PressesArguments) -> Rig:
     """Calibrate a tactile sensor on presses of a ball of known size into its gel.
 
     The contact circles are found. The rig keeps --corners, so that `reconstruct` and `live` rectify without
     being told; give both a --background, the gel untouched. Depth is 0 at the untouched gel and negative in a
     dent, which is nearer to the camera.
-
-    Parameters
-    ----------
-    source
-        A folder or pattern of images, one for each press.
-    background
-        Image of the untouched gel.
-    labels
-        Folder of text files, NAME.txt for NAME.jpg: u v contact_radius in pixels of the rectified image.
-        Default: the contact circles are found.
-    label_size
-        Width and height of the image that the labels refer to; default: the rectified one.
     """
-    require_known_checks(allow, CHECK_NAMES)
-    require_output(out, JSON)
-    job = pipeline.PressJob(
-        source=source,
-        background=background,
-        labels=labels,
-        transfer=flags.curve_from_text(transfer),
-        sensor=sensor or SensorOptions(),
-        rectification=flags.rectification_from_flags(corners, size_mm, options.pixel_mm),
-        label_size=label_size,
-        allow=allow,
+    return _presses(asked).rig
+
+
+@command(calibrate_presses)
+def presses(asked: PressesArguments) -> None:
+    """Print the rig, the circles and the scale."""
+    result = _presses(asked)
+    report_rig(Path(asked.out), result.rig, f"presses of {asked.source}")
+    _report_presses(result, asked)
+    background = str(asked.background)
+    print_next(
+        "reconstruct", "touch.mkv", "--rig", str(asked.out), "--background", background, "--out", "touch"
     )
-    with ProgressBars() as bars:
-        result = pipeline.calibrate_presses(job, options, partial(bars.reach, "read presses"))
-    rig = result.rig
-    judge([*result.findings, *check_lamps(rig), *check_residual(rig)], allow)
-    write_rig(out, rig)
-    report_rig(out, rig, f"presses of {source}")
-    _report_presses(result, options, labels)
-    print_next("reconstruct", "touch.mkv", "--rig", out, "--background", background, "--out", "touch")
 
 
-def _report_presses(result: pipeline.PressCalibration, options: PressOptions, labels: Path | None) -> None:
+def _report_presses(result: pipeline.PressCalibration, asked: PressesArguments) -> None:
     """Print which circles were taken, the ball, the scale and the sign of depth."""
     held_back, camera = result.fit.held_back_deg, result.rig.camera
     if np.isfinite(held_back):
         print(f"  held back         {held_back:.2f} degrees, median on presses that a fit did not see")
-    took = "found" if labels is None else f"as labelled in {labels}"
+    took = "found" if asked.labels is None else f"as labelled in {asked.labels}"
     print(f"  contact circles   {result.used}, {took}{_moves(result.fit)}")
     if result.passed_over:
         names = ", ".join(result.passed_over[:5]) + (" …" if len(result.passed_over) > 5 else "")
-        without = "a dent that is symmetric" if labels is None else "a label"
+        without = "a dent that is symmetric" if asked.labels is None else "a label"
         print(f"  passed over       {len(result.passed_over)} images without {without}: {names}")
-    radius = options.ball_radius_mm
+    radius = asked.ball_radius_mm
     print(f"  ball              {radius:g} mm in radius, {2 * radius:g} mm across")
-    width, height = camera.width * options.pixel_mm, camera.height * options.pixel_mm
-    scale = f"{options.pixel_mm:g} mm a pixel in u and v, {width:.1f}×{height:.1f} mm"
+    width, height = camera.width * asked.pixel_mm, camera.height * asked.pixel_mm
+    scale = f"{asked.pixel_mm:g} mm a pixel in u and v, {width:.1f}×{height:.1f} mm"
     print(f"  scale             {scale}; depth is 0 at rest, negative in a dent")
 
 
@@ -362,65 +427,74 @@ def _moves(fit: GelFit) -> str:
     return f"; moved to their dents,{common} each by {fit.label_scatter_px:.1f} (median)"
 
 
-@flags.verb("max_megapixels")
-def rectify(
-    source: str,
-    /,
-    *,
-    out: Path,
-    rig: Path | None = None,
-    corners: flags.Corners = None,
-    size_mm: flags.SizeMm = None,
-    pixel_mm: float | None = None,
-    transfer: flags.Curve = None,
-    sensor: flags.Sensor = None,
-    overwrite: flags.Overwrite = False,
-) -> None:
-    """Resample footage of a tilted plane to square pixels of known size.
+@dataclass(frozen=True, kw_only=True)
+class RectifyArguments(CornerOptions, CurveOptions, SensorOptions, ReadingLimits):
+    """What `rectify` takes."""
 
-    Parameters
-    ----------
-    source
-        A video, an image, a folder of images, or a pattern.
-    out
-        The folder to write: 16-bit PNG files with the same transfer curve.
-    rig
-        The rig.json of a tactile gel. Its corners, size, pixels and transfer curve are taken where none are
-        given.
-    pixel_mm
-        Side of a pixel of the result in millimetres.
-    overwrite
-        Replace the images that the folder holds.
-    """
-    known = None if rig is None else read_rig(rig)
-    curve = flags.curve_from_text(transfer) or (None if known is None else known.transfer)
-    capture = open_capture(source, CaptureOptions(transfer=curve, sensor=sensor or SensorOptions()))
-    filmed = (capture.info.width, capture.info.height)
+    WITHOUT: ClassVar[tuple[str, ...]] = ("max_vertices",)
+
+    source: Source = field(kw_only=False)
+    """A video, an image, a folder of images, or a pattern."""
+    out: File
+    """The folder to write: 16-bit PNG files with the same transfer curve."""
+    rig: OptionalFile = named(None)
+    """The rig.json of a tactile gel. Its corners, size, pixels and transfer curve are taken where none are
+    given."""
+    pixel_mm: float | None = None
+    """Side of a pixel of the result in millimetres."""
+    overwrite: bool = False
+    """Replace the images that the folder holds."""
+
+
+def _rectified(asked: RectifyArguments) -> tuple[int, Rectification, Capture]:
+    """Return how many images were written, how, and what was read."""
+    known = None if asked.rig is None else read_rig(asked.rig)
+    curve = curve_from_text(asked.transfer) or (None if known is None else known.transfer)
+    options = CaptureOptions(transfer=curve, sensor=asked.part(SensorOptions))
+    capture = open_capture(str(asked.source), options)
+    rectification = _rectification(asked, known, (capture.info.width, capture.info.height))
+    with ProgressBars() as bars:
+        count = pipeline.rectify_capture(
+            capture, rectification, Path(asked.out), partial(bars.reach, "rectify"), overwrite=asked.overwrite
+        )
+    return count, rectification, capture
+
+
+def _rectification(asked: RectifyArguments, known: Rig | None, filmed: tuple[int, int]) -> Rectification:
     if known is None:
-        if corners is None or size_mm is None or pixel_mm is None:
+        if asked.corners is None or asked.size_mm is None or asked.pixel_mm is None:
             raise BadInput(
                 "rectify: expected --corners, --size-mm and --pixel-mm, or the --rig of a tactile gel"
             )
-        rectification = flags.rectification_from_flags(corners, size_mm, pixel_mm)
-    else:
-        if pixel_mm is not None:
-            raise BadInput("rectify: --pixel-mm is the rig's; leave it out, or leave out --rig")
-        known = flags.rig_with_corners(known, corners, size_mm, filmed)
-        rectification = None if known.gel is None else known.gel.rectification
-        if rectification is None:
-            raise BadInput(f"{rig}: holds no corners of a gel; give --corners, --size-mm and --pixel-mm")
-        known.require_size(*filmed, source)
-        pixel_mm = rectification.pixel_mm
-    assert rectification is not None  # of corners and a size
-    with ProgressBars() as bars:
-        count = pipeline.rectify_capture(
-            capture, rectification, out, partial(bars.reach, "rectify"), overwrite=overwrite
-        )
+        rectification = rectification_from_corners(asked.corners, asked.size_mm, asked.pixel_mm)
+        assert rectification is not None  # of corners and a size
+        return rectification
+    if asked.pixel_mm is not None:
+        raise BadInput("rectify: --pixel-mm is the rig's; leave it out, or leave out --rig")
+    known = rig_with_corners(known, asked.corners, asked.size_mm, filmed)
+    if known.gel is None or known.gel.rectification is None:
+        raise BadInput(f"{asked.rig}: holds no corners of a gel; give --corners, --size-mm and --pixel-mm")
+    known.require_size(*filmed, str(asked.source))
+    return known.gel.rectification
+
+
+@verb(RectifyArguments)
+def rectify(asked: RectifyArguments) -> Path:
+    """Resample footage of a tilted plane to square pixels of known size; return the folder."""
+    _rectified(asked)
+    return Path(asked.out)
+
+
+@command(rectify)
+def rectify_command(asked: RectifyArguments) -> None:
+    """Print what was written and left out."""
+    count, rectification, capture = _rectified(asked)
     width, height = rectification.size
-    if Path(source).is_dir():
-        left_out = sum(path.is_file() for path in Path(source).iterdir()) - len(capture.info.files)
+    source = Path(asked.source)
+    if source.is_dir():
+        left_out = sum(path.is_file() for path in source.iterdir()) - len(capture.info.files)
         if left_out:
             print(f"{source}: {left_out} files that are no images were left out")
-    print(f"{out}: {count} images of {width}×{height}, {pixel_mm:g} mm a pixel")
-    ball = ("--ball-radius-mm", "2", "--pixel-mm", f"{pixel_mm:g}")
-    print_next("calibrate", "presses", out, "--background", "gel.png", *ball, "--out", "gel.json")
+    print(f"{asked.out}: {count} images of {width}×{height}, {rectification.pixel_mm:g} mm a pixel")
+    ball = ("--ball-radius-mm", "2", "--pixel-mm", f"{rectification.pixel_mm:g}")
+    print_next("calibrate", "presses", str(asked.out), "--background", "gel.png", *ball, "--out", "gel.json")

@@ -1,44 +1,54 @@
 """`vntoolkit demo`: run the whole chain on a simulated capture and write a report."""
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
 
-from vntoolkit.cli.flags import Flags, Jobs, Overwrite, verb
 from vntoolkit.cli.output import ProgressBars, print_next
-from vntoolkit.pipeline.demo import DemoFolder, DemoOptions, run_demo
-from vntoolkit.pipeline.opened_result import open_result
+from vntoolkit.cli.verb import command, verb
+from vntoolkit.options.base import File
+from vntoolkit.options.shared import JobOptions
+from vntoolkit.options.simulation import DemoOptions
+from vntoolkit.pipeline.demo import DemoFolder, run_demo
+from vntoolkit.pipeline.opened_result import OpenedResult, open_result
 from vntoolkit.pipeline.truth_comparison import compare_frame_with_truth
 from vntoolkit.report.report import write_report
 from vntoolkit.report.truth_section import truth_section
 
 
-@verb()
-def demo(
-    *,
-    out: Path = Path("demo"),
-    jobs: Jobs = 1,
-    overwrite: Overwrite = False,
-    options: Annotated[DemoOptions | None, Flags()] = None,
-) -> None:
+@dataclass(frozen=True, kw_only=True)
+class DemoArguments(DemoOptions, JobOptions):
+    """What `demo` takes."""
+
+    out: File = Path("demo")
+    """The folder to write: board, rig.json, sweater, reconstruction and report.html."""
+    overwrite: bool = False
+    """Replace what the folder holds."""
+
+
+def _shown(asked: DemoArguments) -> tuple[DemoFolder, OpenedResult, Path]:
+    folder = DemoFolder(root=Path(asked.out))
+    with ProgressBars() as bars:
+        options = asked.part(DemoOptions)
+        run_demo(folder, options, jobs=asked.jobs, overwrite=asked.overwrite, on_progress=bars.reach)
+    result = open_result(folder.reconstruction)
+    extra = [truth_section(result, folder.garment)]
+    return folder, result, write_report(folder.reconstruction, folder.root / "report.html", extra=extra)
+
+
+@verb(DemoArguments)
+def demo(asked: DemoArguments) -> OpenedResult:
     """Simulate a board and a dancer's sweater, calibrate, reconstruct, and compare with the truth.
 
     Takes a minute on two cores; where set-up has not compiled the loops, 20 s more the first time. An
     interrupted run continues where it stopped.
-
-    Parameters
-    ----------
-    out
-        The folder to write: board, rig.json, sweater, reconstruction and report.html.
-    overwrite
-        Replace what the folder holds.
     """
-    folder = DemoFolder(root=out)
-    with ProgressBars() as bars:
-        run_demo(folder, options, jobs=jobs, overwrite=overwrite, on_progress=bars.reach)
-    result = open_result(folder.reconstruction)
-    page = write_report(
-        folder.reconstruction, out / "report.html", extra=[truth_section(result, folder.garment)]
-    )
+    return _shown(asked)[1]
+
+
+@command(demo)
+def demo_command(asked: DemoArguments) -> None:
+    """Print how far the normals are from the truth, and where the results are."""
+    folder, result, page = _shown(asked)
     middle = compare_frame_with_truth(result, folder.garment, result.numbers[len(result.numbers) // 2])
     print(
         f"normals are {middle.normals.median_deg:.1f} degrees from the truth "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import platform
 import signal
 import subprocess
@@ -11,18 +12,20 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, ClassVar
 
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
 from vntoolkit import __version__, native
-from vntoolkit.cli.flags import AmbientImage, Flags, Sensor, curve_from_text, verb
+from vntoolkit.cli.given import curve_from_text
 from vntoolkit.cli.output import print_next
-from vntoolkit.errors import BadCapture
-from vntoolkit.io.footage.mattes import MatteOptions
-from vntoolkit.io.footage.mosaics import SensorOptions
+from vntoolkit.cli.verb import command, verb
+from vntoolkit.errors import BadCapture, BadInput
+from vntoolkit.options.base import OptionalFile, as_path, named
+from vntoolkit.options.footage import Gaps, MatteOptions, ReadingLimits, SensorOptions
+from vntoolkit.options.shared import BackgroundOptions
 
 if TYPE_CHECKING:
     from vntoolkit.diagnosis.inspection import CaptureReport
@@ -54,60 +57,66 @@ _TRY_VIDEO = f"from {__name__} import try_video; try_video()"
 _COLOURS = {"note": "cyan", "warning": "yellow", "fatal": "red"}
 
 
-@verb("max_megapixels")
-def doctor(
-    source: str | None = None,
-    /,
-    *,
-    rig: Path | None = None,
-    mask: Path | None = None,
-    matting: Annotated[MatteOptions | None, Flags()] = None,
-    background: AmbientImage = None,
-    transfer: str | None = None,
-    sensor: Sensor = None,
-) -> int:
-    """Check the installation, or check footage for faults that spoil normals.
+@dataclass(frozen=True, kw_only=True)
+class DoctorArguments(BackgroundOptions, MatteOptions, SensorOptions, ReadingLimits):
+    """What `inspect_footage` takes."""
 
-    Parameters
-    ----------
-    source
-        A video, an image, a folder of images, or a pattern. Without it, the libraries are checked.
-    rig
-        Check size, M, channel order, lamps and transfer curve of this rig.json against the footage.
-    mask
-        White where the subject is: an image, or a video, a folder or a pattern with a matte for each frame.
-        Used together with --rig.
-    transfer
-        Curve of the footage: linear, srgb, bt709, gamma:G, pq, hlg, slog3, vlog, clog3 or logc3. Default: the
-        rig's, else the one that the file states, else linear.
-    """
-    if source is None:
-        return _check_libraries(Console())
-    from vntoolkit.diagnosis.finding import Level
+    WITHOUT: ClassVar[tuple[str, ...]] = ("max_vertices",)
+
+    source: str | os.PathLike[str] | None = field(default=None, kw_only=False)
+    """A video, an image, a folder of images, or a pattern. Without it, the libraries are checked."""
+    rig: OptionalFile = named(None)
+    """Check size, M, channel order, lamps and transfer curve of this rig.json against the footage."""
+    mask: OptionalFile = named(None)
+    """White where the subject is: an image, or a video, a folder or a pattern with a matte for each frame.
+    Used together with --rig."""
+    transfer: str | None = None
+    """Curve of the footage: linear, srgb, bt709, gamma:G, pq, hlg, slog3, vlog, clog3 or logc3. Default: the
+    rig's, else the one that the file states, else linear."""
+
+
+def _inspected(asked: DoctorArguments) -> CaptureReport:
     from vntoolkit.diagnosis.inspection import inspect_capture
     from vntoolkit.io.footage.captures import CaptureOptions
-    from vntoolkit.io.footage.frame_range import Gaps
     from vntoolkit.io.rigs import read_rig
 
-    the_rig = None if rig is None else read_rig(rig)
+    if asked.source is None:
+        raise BadInput("inspect_footage: expected a video, an image, a folder of images, or a pattern")
+    background = as_path(asked.background)
     options = CaptureOptions(
         gaps=Gaps.SKIP,
-        transfer=curve_from_text(transfer),
-        sensor=sensor or SensorOptions(),
-        background=None if matting is not None and matting.key is not None else background,
+        transfer=curve_from_text(asked.transfer),
+        sensor=asked.part(SensorOptions),
+        background=None if asked.key is not None else background,
     )
-    report = inspect_capture(
-        source,
+    return inspect_capture(
+        str(asked.source),
         options,
-        rig=the_rig,
-        mask=mask,
-        matting=matting,
+        rig=None if asked.rig is None else read_rig(asked.rig),
+        mask=asked.mask,
+        matting=asked.part(MatteOptions),
         plate=background,
     )
-    _print_report(Console(emoji=False), source, report)
+
+
+@verb(DoctorArguments)
+def inspect_footage(asked: DoctorArguments) -> CaptureReport:
+    """Check the installation, or check footage for faults that spoil normals."""
+    return _inspected(asked)
+
+
+@command(inspect_footage)
+def doctor(asked: DoctorArguments) -> int:
+    """Print what was found; 1 where something is broken or fatal."""
+    if asked.source is None:
+        return _check_libraries(Console())
+    from vntoolkit.diagnosis.finding import Level
+
+    report = _inspected(asked)
+    _print_report(Console(emoji=False), str(asked.source), report)
     fatal = any(finding.level is Level.FATAL for finding in report.findings)
     if not fatal:
-        print_next("reconstruct", source, "--rig", rig or "rig.json", "--out", "result")
+        print_next("reconstruct", str(asked.source), "--rig", asked.rig or "rig.json", "--out", "result")
     return int(fatal)
 
 

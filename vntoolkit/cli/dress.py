@@ -1,86 +1,101 @@
 """`vntoolkit dress`: put a captured garment on an animated skeleton."""
 
 import contextlib
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import ClassVar
 
-from cyclopts import Parameter
-
-from vntoolkit.cli.flags import Flags, verb
 from vntoolkit.cli.output import MESH, ProgressBars, print_next_program, require_output
+from vntoolkit.cli.verb import command, verb
 from vntoolkit.io.atomic import sole_writer, undisturbed
 from vntoolkit.io.motion.garment_fits import read_garment_fit
+from vntoolkit.options.base import File, OptionalFile, named
+from vntoolkit.options.dressing import ClockOptions, DressOptions, GarmentFitOptions, WeightOptions
+from vntoolkit.options.footage import ReadingLimits
 from vntoolkit.pipeline.dress import (
-    DressOptions,
+    DressedFigure,
+    DressSummary,
     captured_look,
-    dress,
     read_motion,
     read_tracked_cloth,
     require_figure_name,
     write_dressed_figure,
 )
+from vntoolkit.pipeline.dress import dress as dressed_figure
 from vntoolkit.report.mesh_views import write_preview
 
 
-@verb("max_vertices")
-def run(
-    folder: Path,
-    *,
-    motion: Path,
-    out: Path,
-    skeleton: Path | None = None,
-    fit: Path | None = None,
-    preview: Annotated[bool, Parameter(negative=())] = False,
-    options: Annotated[DressOptions | None, Flags(renamed={"frame_rate_hz": "frame-rate"})] = None,
-) -> None:
-    """Attach a mesh registered by `vntoolkit track` to a skeleton animated by motion capture.
+@dataclass(frozen=True, kw_only=True)
+class DressArguments(DressOptions, GarmentFitOptions, WeightOptions, ClockOptions, ReadingLimits):
+    """What `dress` takes."""
 
-    Parameters
-    ----------
-    folder:
-        Folder that `vntoolkit track` wrote.
-    motion:
-        Motion capture: .bvh, or .amc with its .asf beside it.
-    out:
-        The file to write: .usdc (with skeleton), .glb (short clips), or one mesh per frame, cloth_%04d.ply or
-        .obj.
-    skeleton:
-        The .asf file of an .amc file, if their names differ.
-    fit:
-        JSON file that corrects the automatic fit: scale, rotation_deg, translation_m, landmarks, pose_deg,
-        bind_frame.
-    preview:
-        Also write a contact sheet and a turntable video beside the result. Red shows what the cloth cannot
-        follow: triangles stretched above 2×, and arms outside their sleeves.
-    """
+    WITHOUT: ClassVar[tuple[str, ...]] = ("max_megapixels",)
+
+    folder: File = field(kw_only=False)
+    """Folder that `vntoolkit track` wrote."""
+    motion: File
+    """Motion capture: .bvh, or .amc with its .asf beside it."""
+    out: File
+    """The file to write: .usdc (with skeleton), .glb (short clips), or one mesh per frame, cloth_%04d.ply or
+    .obj."""
+    skeleton: OptionalFile = named(None)
+    """The .asf file of an .amc file, if their names differ."""
+    fit: OptionalFile = named(None)
+    """JSON file that corrects the automatic fit: scale, rotation_deg, translation_m, landmarks, pose_deg,
+    bind_frame."""
+    preview: bool = False
+    """Also write a contact sheet and a turntable video beside the result. Red shows what the cloth cannot
+    follow: triangles stretched above 2×, and arms outside their sleeves."""
+
+
+def _preview_name(out: Path) -> str:
+    return out.stem.split("%")[0].rstrip("_") or "dress"
+
+
+def _dressed(asked: DressArguments) -> tuple[DressedFigure, DressSummary]:
+    folder, out = Path(asked.folder), Path(asked.out)
     require_figure_name(out)
     require_output(out)
-    several = out.suffix.lower() in MESH
-    alone = sole_writer(out.parent) if several else contextlib.nullcontext()
+    alone = sole_writer(out.parent) if out.suffix.lower() in MESH else contextlib.nullcontext()
     with undisturbed(folder), alone:
-        dressed = dress(
+        dressed = dressed_figure(
             read_tracked_cloth(folder),
-            read_motion(motion, skeleton),
-            options,
-            None if fit is None else read_garment_fit(fit),
+            read_motion(Path(asked.motion), asked.skeleton),
+            asked.part(DressOptions),
+            None if asked.fit is None else read_garment_fit(asked.fit),
         )
         with ProgressBars() as bars:
             bars.begin("dress", len(dressed), 0)
             summary = write_dressed_figure(dressed, out, bars.step, captured_look(folder))
-        cut = f"; {dressed.cut_triangles} triangles cut" if dressed.cut_triangles else ""
-        rate = f"{dressed.clock.frame_rate_hz:g} frames per second"
-        print(f"{out}: {summary.frames} frames of {len(dressed.template.vertices)} vertices, {rate}{cut}")
-        print(f"worn as {dressed.fitting.garment.value}: {summary.findings.sentence}")
-        if summary.fold_error is not None:
-            print(
-                f"skin: folds within {1000 * summary.fold_error:.2g} mm; --carrier cache writes them exactly"
-            )
-        if preview:
-            stem = out.stem.split("%")[0].rstrip("_") or "dress"
+        if asked.preview:
             with ProgressBars() as bars:
                 write_preview(
-                    out.parent, stem, dressed, on_start=partial(bars.begin, "preview"), on_picture=bars.step
-                )
-            print(f"{out.parent / stem}_sheet.png, {stem}_turntable.mkv")
-    print_next_program(out.with_name(out.name % 0) if several else out)
+                    out.parent, _preview_name(out), dressed,
+                    on_start=partial(bars.begin, "preview"), on_picture=bars.step,
+                )  # fmt: skip
+    return dressed, summary
+
+
+@verb(DressArguments)
+def dress(asked: DressArguments) -> Path:
+    """Attach a mesh registered by `vntoolkit track` to a skeleton animated by motion capture."""
+    _dressed(asked)
+    return Path(asked.out)
+
+
+@command(dress)
+def dress_command(asked: DressArguments) -> None:
+    """Print what was written and how it is worn."""
+    dressed, summary = _dressed(asked)
+    out = Path(asked.out)
+    cut = f"; {dressed.cut_triangles} triangles cut" if dressed.cut_triangles else ""
+    rate = f"{dressed.clock.frame_rate_hz:g} frames per second"
+    print(f"{out}: {summary.frames} frames of {len(dressed.template.vertices)} vertices, {rate}{cut}")
+    print(f"worn as {dressed.fitting.garment.value}: {summary.findings.sentence}")
+    if summary.fold_error is not None:
+        print(f"skin: folds within {1000 * summary.fold_error:.2g} mm; --carrier cache writes them exactly")
+    if asked.preview:
+        stem = _preview_name(out)
+        print(f"{out.parent / stem}_sheet.png, {stem}_turntable.mkv")
+    print_next_program(out.with_name(out.name % 0) if out.suffix.lower() in MESH else out)

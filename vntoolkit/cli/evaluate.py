@@ -2,15 +2,16 @@
 
 import dataclasses
 import logging
+from dataclasses import dataclass, field
 from operator import attrgetter
 from pathlib import Path
-from typing import Annotated, TypeAlias
+from typing import ClassVar
 
 import numpy as np
-from cyclopts import Parameter
 
-from vntoolkit.cli.flags import Flags, Footage, Frames, verb
+from vntoolkit.arrays import FloatArray
 from vntoolkit.cli.output import print_next, print_table, progress_bar, require_output, write_json
+from vntoolkit.cli.verb import command, verb
 from vntoolkit.errors import BadInput, BadMesh
 from vntoolkit.evaluation import mesh_comparison
 from vntoolkit.evaluation.angular_error import AngularError
@@ -18,9 +19,13 @@ from vntoolkit.evaluation.track_error import TrackError
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.point_cloud import PointCloud
 from vntoolkit.io.atomic import sole_writer
-from vntoolkit.io.conventions import NormalConvention
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.maps_and_meshes.meshes import read_mesh
+from vntoolkit.options.base import File, Named, OptionalFile, Options, as_path, named
+from vntoolkit.options.evaluation import Alignment, AlignmentOptions, MeasuredBy, MeasuredByName
+from vntoolkit.options.export import NormalConvention, NormalConventionName
+from vntoolkit.options.footage import ReadingLimits
+from vntoolkit.options.shared import FrameOptions, MovedFootageOptions
 from vntoolkit.pipeline import evaluate
 from vntoolkit.pipeline.evaluate import evaluate_cylinder as run
 from vntoolkit.pipeline.opened_result import open_result
@@ -31,42 +36,42 @@ _LOGGER = logging.getLogger(__name__)
 COLUMNS = ["", "pixels", "mean", "median", "std", "95 %", "< 5°", "< 10°", "< 20°"]
 
 _OUT = Path("evaluation")
-Out: TypeAlias = Annotated[Path, Parameter(help="Folder to write.")]
 _SEED = 0  # of the vertices sampled for the alignment
 _LINES, _TRACK_LINES = 10, 12  # of a table on the screen; the file has all frames
 
 
-@verb("max_megapixels")
-def normals(
-    measured: Path,
-    reference: Path,
-    *,
-    out: Out = _OUT,
-    measured_convention: NormalConvention | None = None,
-    reference_convention: NormalConvention | None = None,
-) -> None:
-    """Print the angles in degrees between two normal maps, or between two folders of normal maps.
+@dataclass(frozen=True, kw_only=True)
+class _Written(Options):
+    """Where an evaluation is written."""
 
-    Writes normals.json, the map of the worst frame's errors (normals_map.png) and the cumulative curve
-    (normals_curve.png).
+    out: File = _OUT
+    """Folder to write."""
 
-    Parameters
-    ----------
-    measured
-        A normal map, EXR or PNG, or a folder of them, such as `vntoolkit reconstruct` writes.
-    reference
-        The reference: a map or a folder, such as `vntoolkit simulate` writes. Files are paired by name.
-    measured_convention
-        Axes of the measured map. Default: those that the file states, else x right, y up, z to the viewer.
-    reference_convention
-        Axes of the reference.
-    """
+
+@dataclass(frozen=True, kw_only=True)
+class NormalsArguments(_Written, ReadingLimits):
+    """What `evaluate_normal_files` takes."""
+
+    WITHOUT: ClassVar[tuple[str, ...]] = ("max_vertices",)
+
+    measured: File = field(kw_only=False)
+    """A normal map, EXR or PNG, or a folder of them, such as `vntoolkit reconstruct` writes."""
+    reference: File = field(kw_only=False)
+    """The reference: a map or a folder, such as `vntoolkit simulate` writes. Files are paired by name."""
+    measured_convention: Named[NormalConvention | None, NormalConventionName | None] = named(None)
+    """Axes of the measured map. Default: those that the file states, else x right, y up, z to the viewer."""
+    reference_convention: Named[NormalConvention | None, NormalConventionName | None] = named(None)
+    """Axes of the reference."""
+
+
+def _normals(asked: NormalsArguments) -> evaluate.NormalsComparison:
+    measured, reference, out = Path(asked.measured), Path(asked.reference), Path(asked.out)
     require_output(out / "normals.json")
     with sole_writer(out):
         pairs = evaluate.pairs_of(measured, reference)
         with progress_bar("normals", len(pairs)) as advance:
             found = evaluate.compare_normal_files(
-                pairs, (measured_convention, reference_convention), lambda _name: advance(1)
+                pairs, (asked.measured_convention, asked.reference_convention), lambda _name: advance(1)
             )
         content = {"measured": measured, "reference": reference}
         write_json(out / "normals.json", {**content, "overall": found.overall, "frames": found.frames})
@@ -76,13 +81,30 @@ def normals(
         figures.write_cumulative_errors(
             out / "normals_curve.png", {"all frames": found.curve_deg}, title, "degrees"
         )
-        step = max(1, -(-len(found.frames) // _LINES))
-        rows = [error_row(name, error) for name, error in list(found.frames.items())[::step]]
-        if len(found.frames) > 1:
-            rows.append(error_row("all", found.overall))
-        print_table("degrees between the normals", COLUMNS, rows)
-        print(f"{out}: normals.json, normals_map.png, normals_curve.png")
-    _print_what_is_next(measured)
+    return found
+
+
+@verb(NormalsArguments)
+def evaluate_normal_files(asked: NormalsArguments) -> evaluate.NormalsComparison:
+    """Print the angles in degrees between two normal maps, or between two folders of normal maps.
+
+    Writes normals.json, the map of the worst frame's errors (normals_map.png) and the cumulative curve
+    (normals_curve.png).
+    """
+    return _normals(asked)
+
+
+@command(evaluate_normal_files)
+def normals(asked: NormalsArguments) -> None:
+    """Print a table of the angles."""
+    found = _normals(asked)
+    step = max(1, -(-len(found.frames) // _LINES))
+    rows = [error_row(name, error) for name, error in list(found.frames.items())[::step]]
+    if len(found.frames) > 1:
+        rows.append(error_row("all", found.overall))
+    print_table("degrees between the normals", COLUMNS, rows)
+    print(f"{asked.out}: normals.json, normals_map.png, normals_curve.png")
+    _print_what_is_next(Path(asked.measured))
 
 
 def error_row(name: str, error: AngularError) -> list[str]:
@@ -92,33 +114,34 @@ def error_row(name: str, error: AngularError) -> list[str]:
     return [name, str(error.pixels), *(f"{a:.2f}" for a in angles), *(f"{100 * s:.1f}%" for s in shares)]
 
 
-@verb("max_vertices")
-def mesh(
-    mesh: Path,
-    reference: Path | None = None,
-    *,
-    measured_by: mesh_comparison.MeasuredBy = mesh_comparison.MeasuredBy.EMBREE,
-    out: Out = _OUT,
-    options: Annotated[mesh_comparison.AlignmentOptions | None, Flags(renamed={"free": "align"})] = None,
-) -> None:
-    """Print the distances between a mesh and a reference, in both directions, and the quality of both.
+@dataclass(frozen=True, kw_only=True)
+class MeshArguments(_Written, AlignmentOptions, ReadingLimits):
+    """What `evaluate_mesh` takes."""
 
-    A distance goes from a vertex of one mesh to the nearest point on the faces of the other. A file without
-    faces is a point cloud: distances to it go to its points. Quality counts holes, non-manifold edges and the
-    like. Writes mesh.json and mesh_curve.png.
+    WITHOUT: ClassVar[tuple[str, ...]] = ("max_megapixels",)
 
-    Parameters
-    ----------
-    mesh
-        A PLY or OBJ file.
-    reference
-        The mesh to compare with. Without it, only the quality is measured.
-    measured_by
-        embree: nearest points by Open3D, at any distance. pymeshlab: nearest points by MeshLab.
-    """
+    mesh: File = field(kw_only=False)
+    """A PLY or OBJ file."""
+    reference: File | None = field(default=None, kw_only=False)
+    """The mesh to compare with. Without it, only the quality is measured."""
+    measured_by: Named[MeasuredBy, MeasuredByName] = named(MeasuredBy.EMBREE)
+    """embree: nearest points by Open3D, at any distance. pymeshlab: nearest points by MeshLab."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeshEvaluation:
+    """Distances to the reference, None without one; scale: of the alignment; quality: by a mesh's name."""
+
+    distance: mesh_comparison.MeshDistance | None
+    scale: float
+    quality: dict[str, mesh_comparison.MeshQuality]
+
+
+def _mesh(asked: MeshArguments) -> MeshEvaluation:
+    mesh, out = Path(asked.mesh), Path(asked.out)
+    reference = as_path(asked.reference)
     require_output(out / "mesh.json")
     with sole_writer(out):
-        options = options or mesh_comparison.AlignmentOptions()
         measured = _read(mesh)
         if reference is None and not isinstance(measured, Mesh):
             raise BadMesh(f"{mesh}: expected a surface, got {len(measured.points)} vertices and no face")
@@ -126,38 +149,68 @@ def mesh(
         name = str if same_name else attrgetter("name")
         surfaces = {name(mesh): measured}
         content: dict[str, object] = {"mesh": mesh, "reference": reference}
+        distance, scale = None, 1.0
         if reference is not None:
             surfaces[name(reference)] = target = _read(reference)
-            if why := mesh_comparison.mismatch(measured, target):
-                _LOGGER.warning("%s", why)
-            with progress_bar(
-                "vertices", len(mesh_comparison.positions(measured)) + len(mesh_comparison.positions(target))
-            ) as advance:
-                generator = np.random.default_rng(_SEED)
-                aligned, motion = mesh_comparison.align_mesh(measured, target, generator, options)  # type: ignore[type-var]
-                to_reference = mesh_comparison.vertex_distances(aligned, target, measured_by, advance)
-                back = mesh_comparison.vertex_distances(target, aligned, measured_by, advance)
-            distance = mesh_comparison.MeshDistance.from_vertices(to_reference, back, target.diagonal)
-            content |= {"distance": distance_summary(distance), "scale": motion.scale}
+            distance, scale, to_reference = _compared(asked, measured, target)
+            content |= {"distance": distance_summary(distance), "scale": scale}
             percent = 100.0 / distance.diagonal * to_reference
             figures.write_cumulative_errors(
                 out / "mesh_curve.png", {name(mesh): percent}, f"to {name(reference)}", "% of the diagonal"
             )
-            _print_distance(distance)
-            if options.free is mesh_comparison.Alignment.SIMILARITY:
-                print(f"aligned with a scale of {motion.scale:.4f}")
-        qualities = {
+        quality = {
             each: mesh_comparison.mesh_quality(surface)
             for each, surface in surfaces.items()
             if isinstance(surface, Mesh)
         }
-        write_json(out / "mesh.json", {**content, "quality": qualities})
-        _print_quality(qualities)
-        print(f"{out}: mesh.json" + (", mesh_curve.png" if reference else ""))
-    if reference is not None and options.free is mesh_comparison.Alignment.NONE:
-        print_next("evaluate", "mesh", mesh, reference, "--align", "rigid", "--out", out)
+        write_json(out / "mesh.json", {**content, "quality": quality})
+    return MeshEvaluation(distance=distance, scale=scale, quality=quality)
+
+
+def _compared(
+    asked: MeshArguments, measured: mesh_comparison.Compared, target: mesh_comparison.Compared
+) -> tuple[mesh_comparison.MeshDistance, float, FloatArray]:
+    """Return the distances both ways, the scale of the alignment, and the distance of each vertex."""
+    if why := mesh_comparison.mismatch(measured, target):
+        _LOGGER.warning("%s", why)
+    count = len(mesh_comparison.positions(measured)) + len(mesh_comparison.positions(target))
+    with progress_bar("vertices", count) as advance:
+        generator = np.random.default_rng(_SEED)
+        options = asked.part(AlignmentOptions)
+        aligned, motion = mesh_comparison.align_mesh(measured, target, generator, options)  # type: ignore[type-var]
+        to_reference = mesh_comparison.vertex_distances(aligned, target, asked.measured_by, advance)
+        back = mesh_comparison.vertex_distances(target, aligned, asked.measured_by, advance)
+    distance = mesh_comparison.MeshDistance.from_vertices(to_reference, back, target.diagonal)
+    return distance, motion.scale, to_reference
+
+
+@verb(MeshArguments)
+def evaluate_mesh(asked: MeshArguments) -> MeshEvaluation:
+    """Print the distances between a mesh and a reference, in both directions, and the quality of both.
+
+    A distance goes from a vertex of one mesh to the nearest point on the faces of the other. A file without
+    faces is a point cloud: distances to it go to its points. Quality counts holes, non-manifold edges and the
+    like. Writes mesh.json and mesh_curve.png.
+    """
+    return _mesh(asked)
+
+
+@command(evaluate_mesh)
+def mesh(asked: MeshArguments) -> None:
+    """Print tables of the distances and of the quality."""
+    found = _mesh(asked)
+    alignment = asked.part(AlignmentOptions).align
+    if found.distance is not None:
+        _print_distance(found.distance)
+        if alignment is Alignment.SIMILARITY:
+            print(f"aligned with a scale of {found.scale:.4f}")
+    _print_quality(found.quality)
+    print(f"{asked.out}: mesh.json" + (", mesh_curve.png" if asked.reference else ""))
+    if asked.reference is not None and alignment is Alignment.NONE:
+        pair = (str(asked.mesh), str(asked.reference))
+        print_next("evaluate", "mesh", *pair, "--align", "rigid", "--out", str(asked.out))
     else:
-        _print_what_is_next(mesh)
+        _print_what_is_next(Path(asked.mesh))
 
 
 def distance_summary(distance: mesh_comparison.MeshDistance) -> dict[str, object]:
@@ -170,6 +223,8 @@ def distance_summary(distance: mesh_comparison.MeshDistance) -> dict[str, object
 
 def _read(path: Path) -> mesh_comparison.Compared:
     read = read_mesh(path)
+    if not len(read.vertices):
+        raise BadMesh(f"{path}: expected a surface or points, got no vertex; export it again")
     if len(read.faces):
         return read
     return PointCloud(points=read.vertices, normals=read.normals, colours=read.colours)
@@ -191,51 +246,60 @@ def _print_distance(distance: mesh_comparison.MeshDistance) -> None:
 
 def _print_quality(qualities: dict[str, mesh_comparison.MeshQuality]) -> None:
     rows = []
-    for field in dataclasses.fields(mesh_comparison.MeshQuality):
-        values = [getattr(quality, field.name) for quality in qualities.values()]
+    for measure in dataclasses.fields(mesh_comparison.MeshQuality):
+        values = [getattr(quality, measure.name) for quality in qualities.values()]
         rows.append(
             [
-                field.name.replace("_", " "),
+                measure.name.replace("_", " "),
                 *("undefined" if value is None else f"{value:.6g}" for value in values),
             ]
         )
     print_table("quality", ["", *qualities], rows)
 
 
-@verb("max_megapixels")
-def cylinder(
-    folder: Path,
-    *,
-    truth: Path | None = None,
-    frames: Frames = "::",
-    footage: Footage = "",
-    out: Out = _OUT,
-) -> evaluate.CylinderEvaluation:
-    """Fit one cylinder to a reconstruction of a moving cylinder; compare the normals with it (Figure 7).
+@dataclass(frozen=True, kw_only=True)
+class CylinderArguments(_Written, FrameOptions, MovedFootageOptions, ReadingLimits):
+    """What `evaluate_cylinder` takes."""
 
-    Writes cylinder.json and cylinder.png.
+    WITHOUT: ClassVar[tuple[str, ...]] = ("max_vertices",)
 
-    Parameters
-    ----------
-    folder
-        The folder that `vntoolkit reconstruct` wrote.
-    truth
-        The folder that `vntoolkit simulate` wrote. With it, the fit itself is compared with the truth.
-    """
+    folder: File = field(kw_only=False)
+    """The folder that `vntoolkit reconstruct` wrote."""
+    truth: OptionalFile = named(None)
+    """The folder that `vntoolkit simulate` wrote. With it, the fit itself is compared with the truth."""
+
+
+def _cylinder(asked: CylinderArguments) -> evaluate.CylinderEvaluation:
+    out = Path(asked.out)
     require_output(out / "cylinder.json")
     with sole_writer(out):
-        result = open_result(folder, frames=FrameRange.from_text(frames), footage=footage)
+        frames = FrameRange.from_text(asked.frames or "::")
+        result = open_result(Path(asked.folder), frames=frames, footage=asked.footage)
         with progress_bar("cylinder", 2 * len(result.numbers)) as advance:
-            found = run(result, truth, lambda _number: advance(1))
+            found = run(result, asked.truth, lambda _number: advance(1))
         write_json(out / "cylinder.json", found)
         times = np.array([error.frame for error in found.frames]) / found.frame_rate_hz
         mean, std = (np.array([getattr(e, name) for e in found.frames]) for name in ("mean_deg", "std_deg"))
         title = f"{found.mean_deg:.2f} ± {found.std_deg:.2f} degrees over all frames"
         figures.write_error_over_time(out / "cylinder.png", times, mean, std, title)
-        _print(found)
-        print(f"{out}: cylinder.json, cylinder.png")
-        _print_what_is_next(folder)
-        return found
+    return found
+
+
+@verb(CylinderArguments)
+def evaluate_cylinder(asked: CylinderArguments) -> evaluate.CylinderEvaluation:
+    """Fit one cylinder to a reconstruction of a moving cylinder; compare the normals with it (Figure 7).
+
+    Writes cylinder.json and cylinder.png.
+    """
+    return _cylinder(asked)
+
+
+@command(evaluate_cylinder)
+def cylinder(asked: CylinderArguments) -> None:
+    """Print a table of the frames."""
+    _print(_cylinder(asked))
+    print(f"{asked.out}: cylinder.json, cylinder.png")
+    _print_what_is_next(Path(asked.folder))
 
 
 def _print(found: evaluate.CylinderEvaluation) -> None:
@@ -266,39 +330,31 @@ def _print(found: evaluate.CylinderEvaluation) -> None:
         )
 
 
-@verb("max_vertices")
-def tracks(
-    folder: Path,
-    *others: Path,
-    truth: Path,
-    every: int = 10,
-    out: Out = _OUT,
-    lost_px: float | None = None,
-) -> None:
-    """Print the end-point error of each frame in pixels, for all visible vertices and without the lost ones.
+@dataclass(frozen=True, kw_only=True)
+class TracksArguments(_Written, ReadingLimits):
+    """What `evaluate_tracks` takes."""
 
-    A vertex counts in a frame if its true point is visible there. `outliers`: percentage of these vertices
-    with an error above 4 pixels. `lost`: percentage that the tracker reports as lost. The last two columns
-    leave the lost vertices out: read them together with that percentage. Writes a tab-separated table of all
-    evaluated frames for each folder, NAME.tsv, and the error over the frames, tracks.png.
+    WITHOUT: ClassVar[tuple[str, ...]] = ("max_megapixels",)
 
-    Parameters
-    ----------
-    folder
-        The folder that `vntoolkit track` wrote, or the folder that contains it as `track`.
-    others
-        More such folders, to compare.
-    truth
-        The folder that `vntoolkit simulate` wrote.
-    every
-        Evaluate every n-th frame, and the last one.
-    lost_px
-        A vertex counts as lost where its expected error is above this, in pixels. Default: what `track` used.
-    """
-    if every < 1:
-        raise BadInput(f"every: expected 1 or more, got {every}")
-    folders = {_name(each): each for each in (folder, *others)}
-    if len(folders) <= len(others):
+    folders: tuple[File, ...] = field(kw_only=False)
+    """The folders that `vntoolkit track` wrote, or the folders that contain them as `track`."""
+    truth: File
+    """The folder that `vntoolkit simulate` wrote."""
+    every: int = 10
+    """Evaluate every n-th frame, and the last one."""
+    lost_px: float | None = None
+    """A vertex counts as lost where its expected error is above this, in pixels. Default: what `track`
+    used."""
+
+
+def _tracks(asked: TracksArguments) -> dict[str, list[TrackError]]:
+    out = Path(asked.out)
+    if asked.every < 1:
+        raise BadInput(f"every: expected 1 or more, got {asked.every}")
+    if not asked.folders:
+        raise BadInput("evaluate tracks: FOLDER is missing (the folder that `vntoolkit track` wrote)")
+    folders = {_name(Path(each)): Path(each) for each in asked.folders}
+    if len(folders) < len(asked.folders):
         raise BadInput("evaluate tracks: expected folders with different names, got two of one name")
     tables = {name: out / f"{name}.tsv" for name in folders}
     for table in tables.values():
@@ -306,14 +362,34 @@ def tracks(
     results = {}
     for name, each in folders.items():
         target = each / "track" if (each / "track").is_dir() else each
-        results[name] = evaluate.evaluate_tracks(target, truth, every, lost_px)
+        results[name] = evaluate.evaluate_tracks(target, Path(asked.truth), asked.every, asked.lost_px)
     with sole_writer(out):
         for name, errors in results.items():
             evaluate.write_track_errors(tables[name], errors)
-            _print_table(name, errors)
         figures.write_error_plot(out / "tracks.png", results)
-        print(f"{out}: {', '.join(table.name for table in tables.values())}, tracks.png")
-    _print_what_is_next(folder)
+    return results
+
+
+@verb(TracksArguments)
+def evaluate_tracks(asked: TracksArguments) -> dict[str, list[TrackError]]:
+    """Print the end-point error of each frame in pixels, for all visible vertices and without the lost ones.
+
+    A vertex counts in a frame if its true point is visible there. `outliers`: percentage of these vertices
+    with an error above 4 pixels. `lost`: percentage that the tracker reports as lost. The last two columns
+    leave the lost vertices out: read them together with that percentage. Writes a tab-separated table of all
+    evaluated frames for each folder, NAME.tsv, and the error over the frames, tracks.png.
+    """
+    return _tracks(asked)
+
+
+@command(evaluate_tracks)
+def tracks(asked: TracksArguments) -> None:
+    """Print a table of the frames for each folder."""
+    results = _tracks(asked)
+    for name, errors in results.items():
+        _print_table(name, errors)
+    print(f"{asked.out}: {', '.join(f'{name}.tsv' for name in results)}, tracks.png")
+    _print_what_is_next(Path(asked.folders[0]))
 
 
 def _name(folder: Path) -> str:
@@ -333,24 +409,32 @@ def _print_table(name: str, errors: list[TrackError]) -> None:
         )
 
 
-@verb("max_megapixels")
-def integration(*, data: Path | None = None, size: int = 256, out: Out = _OUT) -> None:
-    """Print the depth error of every integrator on analytic surfaces, and on real objects if given.
+@dataclass(frozen=True, kw_only=True)
+class IntegrationArguments(_Written, ReadingLimits):
+    """What `evaluate_integration` takes."""
 
-    Writes integration.json, the cumulative errors on the surface with a depth step (integration_curve.png)
-    and the error map of the last integrator (integration_map.png).
+    WITHOUT: ClassVar[tuple[str, ...]] = ("max_vertices",)
 
-    Parameters
-    ----------
-    data
-        Folder with one folder per real object: normal_map.png, mask.png, K.txt, depth_gt.npz (millimetres).
-    size
-        Side of the analytic surfaces in pixels.
-    """
+    data: OptionalFile = named(None)
+    """Folder with one folder per real object: normal_map.png, mask.png, K.txt, depth_gt.npz (millimetres)."""
+    size: int = 256
+    """Side of the analytic surfaces in pixels."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class IntegrationEvaluation:
+    """Depth errors of every integrator on analytic surfaces, and on real objects."""
+
+    surfaces: list[evaluate.SurfaceError]
+    objects: list[evaluate.ObjectError]
+
+
+def _integration(asked: IntegrationArguments) -> IntegrationEvaluation:
+    out = Path(asked.out)
     require_output(out / "integration.json")
     with sole_writer(out):
-        objects = [] if data is None else evaluate.objects_in(data)
-        cases = evaluate.surface_cases(size)
+        objects = [] if asked.data is None else evaluate.objects_in(asked.data)
+        cases = evaluate.surface_cases(asked.size)
         rows, curves, last = [], {}, None
         with progress_bar("integration", len(cases) + len(objects)) as advance:
             for case in cases:
@@ -366,17 +450,6 @@ def integration(*, data: Path | None = None, size: int = 256, out: Out = _OUT) -
                 advance(1)
         plain = [{"surface": r.surface, "integrator": r.integrator, **r.numbers} for r in rows]
         write_json(out / "integration.json", {"surfaces": plain, "objects": real})
-        columns = ["surface", "integrator", "mean", "rms", "largest"]
-        table = [
-            [r.surface, r.integrator, *(f"{r.numbers[n]:.2e}" for n in ("mean", "rms", "largest"))]
-            for r in rows
-        ]
-        print_table("depth error, % of the surface's range", columns, table, names=2)
-        if real:
-            table = [[e.name, e.integrator, f"{e.mean_mm:.3f}", f"{e.median_mm:.3f}"] for e in real]
-            print_table(
-                "depth error on real objects, mm", ["object", "integrator", "mean", "median"], table, names=2
-            )
         figures.write_cumulative_errors(
             out / "integration_curve.png", curves, "torn surface", "error, % of the range"
         )
@@ -385,7 +458,34 @@ def integration(*, data: Path | None = None, size: int = 256, out: Out = _OUT) -
             figures.write_error_map(
                 out / "integration_map.png", last.distances_percent, last.mask, title, "% of the range"
             )
-        print(f"{out}: integration.json, integration_curve.png, integration_map.png")
+    return IntegrationEvaluation(surfaces=rows, objects=real)
+
+
+@verb(IntegrationArguments)
+def evaluate_integration(asked: IntegrationArguments) -> IntegrationEvaluation:
+    """Print the depth error of every integrator on analytic surfaces, and on real objects if given.
+
+    Writes integration.json, the cumulative errors on the surface with a depth step (integration_curve.png)
+    and the error map of the last integrator (integration_map.png).
+    """
+    return _integration(asked)
+
+
+@command(evaluate_integration)
+def integration(asked: IntegrationArguments) -> None:
+    """Print tables of the errors."""
+    found = _integration(asked)
+    columns = ["surface", "integrator", "mean", "rms", "largest"]
+    table = [
+        [r.surface, r.integrator, *(f"{r.numbers[n]:.2e}" for n in ("mean", "rms", "largest"))]
+        for r in found.surfaces
+    ]
+    print_table("depth error, % of the surface's range", columns, table, names=2)
+    if found.objects:
+        table = [[e.name, e.integrator, f"{e.mean_mm:.3f}", f"{e.median_mm:.3f}"] for e in found.objects]
+        columns = ["object", "integrator", "mean", "median"]
+        print_table("depth error on real objects, mm", columns, table, names=2)
+    print(f"{asked.out}: integration.json, integration_curve.png, integration_map.png")
     chosen = ("--integrator", "discontinuity", "--out", "result")
     print_next("reconstruct", "capture.mkv", "--rig", "rig.json", *chosen)
 

@@ -1,63 +1,76 @@
 """`vntoolkit export`: convert results to the formats of other programs."""
 
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import ClassVar
 
-from cyclopts import Parameter
-
-from vntoolkit.cli.flags import Flags, Footage, Frames, Overwrite, verb
 from vntoolkit.cli.output import ProgressBars, print_next, print_next_program
+from vntoolkit.cli.verb import command, verb
 from vntoolkit.io.footage.frame_range import FrameRange
-from vntoolkit.meshing.clean import CleanOptions
-from vntoolkit.pipeline.export import ExportJob, ExportOptions
+from vntoolkit.options.base import File, OptionalFile, named
+from vntoolkit.options.export import CleanOptions, ExportFormat, ExportFormatName, ExportOptions
+from vntoolkit.options.footage import ReadingLimits
+from vntoolkit.options.shared import FrameOptions, MovedFootageOptions
+from vntoolkit.pipeline.export import ExportJob, ExportSummary
 from vntoolkit.pipeline.export import export as run
 
 _SHAPES = (".ply", ".obj", ".glb", ".usd", ".usdc")  # that other programs open
 
 
-@verb("max_megapixels", "max_vertices")
-def export(
-    folder: Path,
-    *,
-    options: Annotated[ExportOptions, Flags(without=("cleaning",))],
-    clean: Annotated[bool, Parameter(negative=())] = False,
-    cleaning: Annotated[CleanOptions | None, Flags(renamed={"most_faces": "faces"})] = None,
-    out: Path | None = None,
-    frames: Frames = "::",
-    footage: Footage = "",
-    background: Path | None = None,
-    overwrite: Overwrite = False,
-) -> None:
+@dataclass(frozen=True, kw_only=True)
+class ExportArguments(FrameOptions, MovedFootageOptions, ExportOptions, CleanOptions, ReadingLimits):
+    """What `export` takes."""
+
+    WITHOUT: ClassVar[tuple[str, ...]] = ("cleaning",)
+
+    folder: File = field(kw_only=False)
+    """The folder that `vntoolkit reconstruct` wrote."""
+    to: ExportFormat | ExportFormatName  # type: ignore[assignment]
+    """The format. usd: one animated file (set the frame rate of Blender's scene to the capture's, since
+    Blender keeps its own). glb: one animated file of a registered surface, else one a frame. ply, obj: a mesh
+    a frame. points: a point cloud a frame as .ply, of all pixels with a depth. npz: arrays. png: 16-bit
+    normal maps. diligent: a folder a frame, laid out like the benchmark's."""
+    clean: bool = False
+    """Remove small pieces of the meshes and close small holes (pymeshlab). --most-faces and the like imply
+    it."""
+    out: OptionalFile = named(None)
+    """The file (usd, glb) or folder to write; default FOLDER/export/…."""
+    background: OptionalFile = named(None)
+    """The background image that the reconstruction subtracted."""
+    overwrite: bool = False
+    """Replace an export with other options in the folder."""
+
+
+def _exported(asked: ExportArguments) -> ExportSummary:
+    cleaning = asked.part(CleanOptions)
+    cleans = asked.clean or cleaning != CleanOptions()
+    job = ExportJob(
+        folder=Path(asked.folder),
+        options=replace(asked.part(ExportOptions), cleaning=cleaning if cleans else None),
+        out=asked.out,
+        frames=FrameRange.from_text(asked.frames or "::"),
+        footage=asked.footage,
+        background=asked.background,
+    )
+    with ProgressBars() as bars:
+        return run(job, overwrite=asked.overwrite, on_start=partial(bars.begin, "export"), on_frame=bars.step)
+
+
+@verb(ExportArguments)
+def export(asked: ExportArguments) -> Path:
     """Convert a reconstruction to the formats of other programs.
 
     Only --to diligent reads the footage again and needs --footage and --background. The same command again
     continues an interrupted run and writes what has changed since.
-
-    Parameters
-    ----------
-    folder
-        The folder that `vntoolkit reconstruct` wrote.
-    clean
-        Remove small pieces of the meshes and close small holes (pymeshlab). --faces and the like imply it.
-    out
-        The file (usd, glb) or folder to write; default FOLDER/export/….
-    background
-        The background image that the reconstruction subtracted.
-    overwrite
-        Replace an export with other options in the folder.
     """
-    job = ExportJob(
-        folder=folder,
-        options=replace(options, cleaning=cleaning or (CleanOptions() if clean else None)),
-        out=out,
-        frames=FrameRange.from_text(frames),
-        footage=footage,
-        background=background,
-    )
-    with ProgressBars() as bars:
-        summary = run(job, overwrite=overwrite, on_start=partial(bars.begin, "export"), on_frame=bars.step)
+    return _exported(asked).out
+
+
+@command(export)
+def export_command(asked: ExportArguments) -> None:
+    """Print what was written, and what opens it."""
+    summary = _exported(asked)
     kept = f", {summary.kept} of them from before" if summary.kept else ""
     which = {True: " of the tracked mesh", False: " of each frame's own mesh", None: ""}[summary.is_tracked]
     print(f"{summary.out}: {summary.frames} frames{which}{kept}")
@@ -66,4 +79,4 @@ def export(
     if shapes:
         print_next_program(shapes[0])
     else:
-        print_next("report", folder)
+        print_next("report", str(asked.folder))

@@ -5,120 +5,129 @@ import os
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, TypeAlias
+from typing import ClassVar
 
 import numpy as np
-from cyclopts import Parameter
 
-from vntoolkit.cli import flags
+from vntoolkit.cli.given import rectification_from_corners, rig_with_corners
 from vntoolkit.cli.output import print_next
+from vntoolkit.cli.verb import command, verb
 from vntoolkit.diagnosis.checks import CHECK_NAMES, findings_from_rig
 from vntoolkit.diagnosis.finding import judge, require_known_checks
 from vntoolkit.errors import BadInput, VntError
 from vntoolkit.geometry.rectification import Rectification
 from vntoolkit.io.footage.captures import CaptureOptions, open_capture
 from vntoolkit.io.footage.decoding import EncodedFrame
-from vntoolkit.io.footage.mattes import MatteOptions
 from vntoolkit.io.maps_and_meshes.label_images import read_mask
 from vntoolkit.io.rigs import read_rig
 from vntoolkit.live import capture
 from vntoolkit.live.frames import FrameView, LiveProcessor, LiveResult
 from vntoolkit.live.page import LiveViewer
+from vntoolkit.options.base import File, Named, OptionalFile, named
+from vntoolkit.options.footage import MatteOptions, ReadingLimits
+from vntoolkit.options.normals import ShadowMethod, ShadowMethodName
+from vntoolkit.options.pages import CameraOptions, ViewerOptions
+from vntoolkit.options.shared import AllowOptions, CornerOptions
 from vntoolkit.photometry.rig import Rig
-from vntoolkit.report.local_server import ViewerOptions
-from vntoolkit.shadows.detector import ShadowMethod
 
 _GREY = 128
 _LATE_FRAMES = 1.5  # intervals between frames; a result that took longer is late
 
 
-Crop: TypeAlias = Annotated[tuple[int, int, int, int] | None, Parameter(consume_multiple=True, negative=())]
+@dataclass(frozen=True, kw_only=True)
+class LiveArguments(CornerOptions, AllowOptions, CameraOptions, ViewerOptions, ReadingLimits):
+    """What `watch` takes."""
+
+    WITHOUT: ClassVar[tuple[str, ...]] = ("max_vertices",)
+
+    rig: File
+    """The rig.json of `vntoolkit calibrate`; it belongs to the picture after crop and rectification."""
+    camera: int | None = None
+    """Number of the camera, 0 for the first."""
+    video: OptionalFile = named(None)
+    """A video or a folder of images instead of a camera."""
+    realtime: bool = False
+    """Play the video at the speed at which it was filmed, dropping frames as a camera would."""
+    mask: OptionalFile = named(None)
+    """An image, white where the subject is."""
+    background: OptionalFile = named(None)
+    """An image of the scene under ambient light only, or of the untouched gel, as the camera sees it. With
+    --key, of the set under the lamps without the subject."""
+    key: float | None = None
+    """Difference from the background, as a share of full scale, above which a pixel is the subject."""
+    crop: tuple[int, int, int, int] | None = None
+    """Left, top, width and height in pixels of the part to work on."""
+    pixel_mm: float | None = None
+    """Side of a pixel of the rectified picture in millimetres; a gel's rig knows it."""
+    shadows: Named[ShadowMethod, ShadowMethodName] = named(ShadowMethod.NONE)
+    """How self-shadows are found, as in `reconstruct`; robust takes about 0.1 s a frame of 1280×720."""
+    record_to: File = Path()
+    """The folder for recordings."""
+    seconds: float | None = None
+    """Stop after so many seconds; default: when the video ends, or Ctrl-C."""
 
 
-@flags.verb("max_megapixels")
-def live(
-    *,
-    rig: Path,
-    camera: int | None = None,
-    video: Path | None = None,
-    realtime: Annotated[bool, Parameter(negative=())] = False,
-    mask: Path | None = None,
-    background: Path | None = None,
-    key: float | None = None,
-    crop: Crop = None,
-    corners: flags.Corners = None,
-    size_mm: flags.SizeMm = None,
-    pixel_mm: float | None = None,
-    shadows: ShadowMethod = ShadowMethod.NONE,
-    record_to: Path = Path(),
-    seconds: float | None = None,
-    allow: flags.Allow = (),
-    asked: Annotated[capture.CameraOptions | None, flags.Flags()] = None,
-    viewer: Annotated[ViewerOptions | None, flags.Flags()] = None,
-) -> None:
+def _prepared(asked: LiveArguments) -> tuple[capture.LiveSource, LiveProcessor]:
+    """Return where frames come from and what works on them, warm."""
+    require_known_checks(asked.allow, CHECK_NAMES)
+    if asked.seconds is not None and not asked.seconds > 0:
+        raise BadInput(f"seconds: expected more than 0, got {asked.seconds:g}")
+    rig = read_rig(Path(asked.rig))
+    source = _source(asked, rig)
+    view = FrameView(crop=asked.crop)
+    view.require_inside(source.width, source.height)
+    if rig.gel is not None:
+        size = view.size(source.width, source.height)
+        rig = rig_with_corners(rig, asked.corners, asked.size_mm, size)
+    else:
+        view = replace(view, rectification=_rectification(asked))
+    rig.require_size(*view.size(source.width, source.height), source.name)
+    judge(findings_from_rig(rig), asked.allow)
+    processor = LiveProcessor(
+        rig,
+        view,
+        mask=None if asked.mask is None else read_mask(asked.mask),
+        background=None
+        if asked.background is None
+        else next(open_capture(asked.background).encoded_frames()),
+        key=MatteOptions(key=asked.key).key,
+        shadows=asked.shadows,
+    )
+    processor.warm_up(_first_frame(source, asked.video))
+    return source, processor
+
+
+def _background(asked: LiveArguments) -> EncodedFrame | None:
+    return None if asked.background is None else next(open_capture(asked.background).encoded_frames())
+
+
+@verb(LiveArguments)
+def watch(asked: LiveArguments) -> list[Path]:
     """Watch normals and a turning, relit surface in a browser while filming.
 
     Frames that come too fast are dropped and counted. `r` in the terminal, or the button on the page, starts
-    and stops a lossless recording of what the camera gives.
-
-    Parameters
-    ----------
-    rig
-        The rig.json of `vntoolkit calibrate`; it belongs to the picture after crop and rectification.
-    camera
-        Number of the camera, 0 for the first.
-    video
-        A video or a folder of images instead of a camera.
-    realtime
-        Play the video at the speed at which it was filmed, dropping frames as a camera would.
-    mask
-        An image, white where the subject is.
-    background
-        An image of the scene under ambient light only, or of the untouched gel, as the camera sees it. With
-        --key, of the set under the lamps without the subject.
-    key
-        Difference from the background, as a share of full scale, above which a pixel is the subject.
-    crop
-        Left, top, width and height in pixels of the part to work on.
-    pixel_mm
-        Side of a pixel of the rectified picture in millimetres; a gel's rig knows it.
-    shadows
-        How self-shadows are found, as in `reconstruct`; robust takes about 0.1 s a frame of 1280×720.
-    record_to
-        The folder for recordings.
-    seconds
-        Stop after so many seconds; default: when the video ends, or Ctrl-C.
+    and stops a lossless recording of what the camera gives. In Python the recordings are returned.
     """
-    require_known_checks(allow, CHECK_NAMES)
-    if seconds is not None and not seconds > 0:
-        raise BadInput(f"seconds: expected more than 0, got {seconds:g}")
-    read = read_rig(rig)
-    source = _source(camera, video, realtime, asked, read)
-    view = FrameView(crop=crop)
-    view.require_inside(source.width, source.height)
-    if read.gel is not None:
-        read = flags.rig_with_corners(read, corners, size_mm, view.size(source.width, source.height))
-    else:
-        view = replace(view, rectification=_rectification(corners, size_mm, pixel_mm))
-    read.require_size(*view.size(source.width, source.height), source.name)
-    judge(findings_from_rig(read), allow)
-    processor = LiveProcessor(
-        read,
-        view,
-        mask=None if mask is None else read_mask(mask),
-        background=None if background is None else next(open_capture(background).encoded_frames()),
-        key=MatteOptions(key=key).key,
-        shadows=shadows,
-    )
-    processor.warm_up(_first_frame(source, video))
-    recorder = capture.LiveRecorder(record_to, source.frame_rate_hz)
-    _watch(source, processor, recorder, seconds, viewer, realtime)
-    if recorder.files:
-        plate: list[str | Path] = [] if background is None else ["--background", background]
-        plate += [] if key is None else ["--key", f"{key:g}"]
-        print_next("reconstruct", recorder.files[-1], "--rig", rig, *plate, "--out", "result")
+    return _recorded(asked)
+
+
+@command(watch)
+def live(asked: LiveArguments) -> None:
+    """Print what reconstructs the last recording."""
+    files = _recorded(asked)
+    if files:
+        plate = [] if asked.background is None else ["--background", str(asked.background)]
+        plate += [] if asked.key is None else ["--key", f"{asked.key:g}"]
+        print_next("reconstruct", files[-1], "--rig", str(asked.rig), *plate, "--out", "result")
+
+
+def _recorded(asked: LiveArguments) -> list[Path]:
+    source, processor = _prepared(asked)
+    recorder = capture.LiveRecorder(Path(asked.record_to), source.frame_rate_hz)
+    _watch(source, processor, recorder, asked.seconds, asked.part(ViewerOptions), asked.realtime)
+    return list(recorder.files)
 
 
 def _watch(
@@ -177,21 +186,20 @@ def _watch(
         print(f"not recorded: {recorder.problem}")
 
 
-def _source(
-    camera: int | None, video: Path | None, realtime: bool, asked: capture.CameraOptions | None, rig: Rig
-) -> capture.LiveSource:
-    if (camera is None) == (video is None):
+def _source(asked: LiveArguments, rig: Rig) -> capture.LiveSource:
+    if (asked.camera is None) == (asked.video is None):
         raise BadInput("live: expected either --camera NUMBER or --video FILE")
-    if video is not None and asked is not None:
+    wanted = asked.part(CameraOptions)
+    if asked.video is not None and wanted != CameraOptions():
         raise BadInput("live: --width, --height and --rate are asked of a camera; a video has its own")
-    if video is not None:
+    if asked.video is not None:
         return capture.FileSource(
-            open_capture(video, CaptureOptions(transfer=rig.transfer)), realtime=realtime
+            open_capture(asked.video, CaptureOptions(transfer=rig.transfer)), realtime=asked.realtime
         )
-    if realtime:
+    if asked.realtime:
         raise BadInput("live: --realtime is for --video; a camera always is")
-    assert camera is not None
-    return capture.CameraSource(camera, asked)
+    assert asked.camera is not None
+    return capture.CameraSource(asked.camera, wanted)
 
 
 def _first_frame(source: capture.LiveSource, video: Path | None) -> EncodedFrame:
@@ -202,14 +210,12 @@ def _first_frame(source: capture.LiveSource, video: Path | None) -> EncodedFrame
     return EncodedFrame(values=grey, bits=8, number=0, name="grey")
 
 
-def _rectification(
-    corners: tuple[float, ...] | None, size_mm: tuple[float, float] | None, pixel_mm: float | None
-) -> Rectification | None:
-    if corners is None and size_mm is None:
+def _rectification(asked: LiveArguments) -> Rectification | None:
+    if asked.corners is None and asked.size_mm is None:
         return None
-    if pixel_mm is None:
+    if asked.pixel_mm is None:
         raise BadInput("live: --corners and --size-mm need --pixel-mm")
-    return flags.rectification_from_flags(corners, size_mm, pixel_mm)
+    return rectification_from_corners(asked.corners, asked.size_mm, asked.pixel_mm)
 
 
 @contextlib.contextmanager

@@ -2,7 +2,6 @@
 
 import contextlib
 import difflib
-import inspect
 import os
 import re
 import tempfile
@@ -52,7 +51,7 @@ def _missing(error: MissingArgumentError) -> str:
     close = close or difflib.get_close_matches(argument.name, typed, n=1, cutoff=0.6)
     if close:
         return f"unknown option {close[0]}, perhaps for {argument.name}"
-    meaning = _meaning(argument, error)
+    meaning = _meaning(argument)
     return f"{_shown_name(argument)} is missing{f' ({meaning})' if meaning else ''}"
 
 
@@ -61,15 +60,11 @@ def _shown_name(argument: Argument) -> str:
     return name.lstrip("-").upper() if argument.field_info.is_positional else name
 
 
-def _meaning(argument: Argument, error: CycloptsError) -> str:
-    """Return the flag's choices, or the first sentence on it in the verb's docstring."""
+def _meaning(argument: Argument) -> str:
+    """Return the flag's choices, or the first sentence of its help."""
     if isinstance(argument.hint, type) and issubclass(argument.hint, Enum):
         return "one of " + ", ".join(member.name.lower().replace("_", "-") for member in argument.hint)
-    text = inspect.getdoc(error.target) or ""
-    found = re.search(rf"^{argument.field_info.name}:?\n((?: +\S.*\n?)+)", text, re.MULTILINE)
-    if found is None:
-        return ""
-    sentence = re.split(r"[.;:](?:\s|$)", " ".join(found[1].split()))[0]
+    sentence = re.split(r"[.;:](?:\s|$)", argument.parameter.help or "")[0]
     return sentence[:1].lower() + sentence[1:]
 
 

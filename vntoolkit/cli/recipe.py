@@ -19,6 +19,11 @@ _LOG = logging.getLogger(__name__)
 _EXPERIMENTS = ("Figure", "Table")  # first words of the summary; other recipes make data and pictures
 
 
+def run_recipe(name: str, *arguments: str, out: Path | str | None = None) -> None:
+    """Run one recipe by its name, or all; arguments are its own options, such as "--quick"."""
+    run(name, *arguments, out=None if out is None else Path(out))
+
+
 def list_() -> None:
     """Print the name and the purpose of every recipe."""
     rows = [[name, summary_of(path)] for name, path in recipes().items()]

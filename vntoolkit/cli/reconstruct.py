@@ -3,110 +3,141 @@
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, TypeAlias
+from typing import Any, ClassVar
 
-from vntoolkit.cli import flags
+from vntoolkit.cli.given import rig_with_corners
 from vntoolkit.cli.output import ProgressBars, print_next
+from vntoolkit.cli.verb import command, verb
 from vntoolkit.diagnosis.checks import CHECK_NAMES
 from vntoolkit.diagnosis.finding import require_known_checks
 from vntoolkit.errors import BadCapture
 from vntoolkit.io.footage.captures import CaptureOptions, open_capture
-from vntoolkit.io.footage.frame_range import FrameRange, Gaps
-from vntoolkit.io.footage.mattes import MatteOptions
-from vntoolkit.io.footage.mosaics import SensorOptions
+from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.rigs import read_rig
+from vntoolkit.options.base import File, Named, OptionalFile, Source, as_path, named
+from vntoolkit.options.depth import IntegrationOptions, MeshOptions
+from vntoolkit.options.footage import Gaps, GapsName, MatteOptions, ReadingLimits, SensorOptions
+from vntoolkit.options.normals import InversionOptions
+from vntoolkit.options.reconstruction import ReconstructOptions
+from vntoolkit.options.shared import (
+    AllowOptions,
+    BackgroundOptions,
+    CornerOptions,
+    FrameOptions,
+    JobOptions,
+)
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import Transfer
 from vntoolkit.pipeline.block_work import ReconstructionJob
-from vntoolkit.pipeline.options import ReconstructOptions
+from vntoolkit.pipeline.opened_result import OpenedResult, open_result
 from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.reconstruct import ReconstructionSummary
 from vntoolkit.pipeline.reconstruct import reconstruct as run
 
-ReconstructFlags: TypeAlias = Annotated[
-    ReconstructOptions | None, flags.Flags(without=("relative_albedo",), renamed={"distance_m": "distance"})
-]
+
+@dataclass(frozen=True, kw_only=True)
+class RunArguments(
+    FrameOptions, BackgroundOptions, MatteOptions, SensorOptions, AllowOptions, ReconstructOptions,
+    InversionOptions, IntegrationOptions, MeshOptions, JobOptions, ReadingLimits,
+):  # fmt: skip
+    """What a reconstruction takes beside its footage, its rig and its folder."""
+
+    WITHOUT: ClassVar[tuple[str, ...]] = ("max_vertices", "relative_albedo", "distance_m")
+
+    distance: float | None = None
+    """Distance in metres from a perspective camera to the subject, along the optical axis. It fixes the scale
+    that normals alone leave free."""
+    gaps: Named[Gaps, GapsName] = named(Gaps.REFUSE)
+    """What to do where numbers of an image sequence are missing: refuse the sequence, or skip these frames.
+    The other frames keep their numbers."""
+    scheduler: str | None = None
+    """Address of a Dask scheduler, tcp://host:8786, or "local". Workers must see the same folders."""
+    overwrite: bool = False
+    """Replace the results that the folder holds."""
+
+    @property
+    def range(self) -> FrameRange:
+        """The frames."""
+        return FrameRange.from_text(self.frames or "::")
+
+    def job(self, source: str, rig: Rig, folder: Path, mask: Path | None, **more: Any) -> ReconstructionJob:
+        """Return the reconstruction of a capture; more: further fields of it."""
+        require_known_checks(self.allow, CHECK_NAMES)
+        given: dict[str, Any] = {"allow": self.allow, "gaps": self.gaps, **more}
+        return ReconstructionJob(
+            source=source,
+            rig=rig,
+            folder=ReconstructionFolder(root=folder),
+            mask=mask,
+            options=replace(self.part(ReconstructOptions), distance_m=self.distance),
+            matting=self.part(MatteOptions),
+            background=as_path(self.background),
+            sensor=self.part(SensorOptions),
+            **given,
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
-class RunFlags:
-    """How footage is read, and who does the work."""
+class ReconstructArguments(CornerOptions, RunArguments):
+    """What `reconstruct` takes."""
 
-    matting: MatteOptions = field(default_factory=MatteOptions)
-    background: flags.AmbientImage = None
-    frames: flags.Frames = "::"
-    jobs: flags.Jobs = 1
-    scheduler: flags.Scheduler = None
-    gaps: flags.Missing = Gaps.REFUSE
-    allow: flags.Allow = ()
-    sensor: SensorOptions = field(default_factory=SensorOptions)
-
-    def job(self, **fields: Any) -> ReconstructionJob:
-        """Return the reconstruction of a capture; fields: its further ones."""
-        require_known_checks(self.allow, CHECK_NAMES)
-        own = {name: getattr(self, name) for name in ("matting", "background", "gaps", "allow", "sensor")}
-        return ReconstructionJob(**(own | fields))
+    source: Source = field(kw_only=False)
+    """A video, an image, a folder of images, or a pattern such as frame_%04d.png or "frame_*.png"."""
+    rig: File
+    """The rig.json that `vntoolkit calibrate` wrote."""
+    out: File
+    """The folder to write: normals, depth, mesh and reconstruction.json."""
+    mask: OptionalFile = named(None)
+    """White where the subject is, of the footage's size: an image, or a video, a folder or a pattern with a
+    matte for each frame."""
+    transfer: str | None = None
+    """Transfer curve of the footage, linear, srgb, bt709, gamma:G, pq, hlg, slog3, vlog, clog3 or logc3, even
+    where the file states another. Default: the rig's."""
 
 
-@flags.verb("max_megapixels")
-def reconstruct(
-    source: str,
-    *,
-    rig: Path,
-    out: Path,
-    mask: Path | None = None,
-    corners: flags.Corners = None,
-    size_mm: flags.SizeMm = None,
-    transfer: str | None = None,
-    overwrite: flags.Overwrite = False,
-    running: Annotated[RunFlags | None, flags.Flags()] = None,
-    options: ReconstructFlags = None,
-) -> None:
-    """Compute normals, depth and meshes from footage and a rig, frame by frame.
-
-    The same command again continues an interrupted run.
-
-    Parameters
-    ----------
-    source
-        A video, an image, a folder of images, or a pattern such as frame_%04d.png or "frame_*.png".
-    rig
-        The rig.json that `vntoolkit calibrate` wrote.
-    out
-        The folder to write: normals, depth, mesh and reconstruction.json.
-    mask
-        White where the subject is, of the footage's size: an image, or a video, a folder or a pattern with a
-        matte for each frame.
-    transfer
-        Transfer curve of the footage, linear, srgb, bt709, gamma:G, pq, hlg, slog3, vlog, clog3 or logc3,
-        even where the file states another. Default: the rig's.
-    overwrite
-        Replace the results that the folder holds.
-    """
-    calibrated, running = read_rig(rig), running or RunFlags()
-    if corners is not None or size_mm is not None:
-        info = open_capture(source, CaptureOptions(transfer=calibrated.transfer, gaps=running.gaps)).info
-        calibrated = flags.rig_with_corners(calibrated, corners, size_mm, (info.width, info.height))
-    job = running.job(
-        source=source,
-        rig=_with_transfer(calibrated, transfer),
+def _reconstructed(asked: ReconstructArguments) -> ReconstructionSummary:
+    source, calibrated = str(asked.source), read_rig(Path(asked.rig))
+    if asked.corners is not None or asked.size_mm is not None:
+        options = CaptureOptions(transfer=calibrated.transfer, gaps=Gaps(asked.gaps))
+        info = open_capture(source, options).info
+        size = (info.width, info.height)
+        calibrated = rig_with_corners(calibrated, asked.corners, asked.size_mm, size)
+    job = asked.job(
+        source,
+        _with_transfer(calibrated, asked.transfer),
+        Path(asked.out),
+        asked.mask,
         calibrated=calibrated.transfer,
-        allow=running.allow if transfer is None else (*running.allow, "tag"),
-        options=options or ReconstructOptions(),
-        folder=ReconstructionFolder(root=out),
-        mask=mask,
+        allow=asked.allow if asked.transfer is None else (*asked.allow, "tag"),
     )
     with ProgressBars() as bars:
-        summary = run(
+        return run(
             job,
-            frames=FrameRange.from_text(running.frames),
-            jobs=running.jobs,
-            scheduler=running.scheduler,
-            overwrite=overwrite,
+            frames=asked.range,
+            jobs=asked.jobs,
+            scheduler=asked.scheduler,
+            overwrite=asked.overwrite,
             on_start=partial(bars.begin, "reconstruct"),
             on_frame=bars.step,
         )
-    _report(source, summary)
+
+
+@verb(ReconstructArguments)
+def reconstruct(asked: ReconstructArguments) -> OpenedResult:
+    """Compute normals, depth and meshes from footage and a rig, frame by frame.
+
+    The same command again continues an interrupted run.
+    """
+    summary = _reconstructed(asked)
+    if summary.loss:
+        raise BadCapture(f"{asked.source}: {summary.loss}")
+    return open_result(Path(asked.out))
+
+
+@command(reconstruct)
+def reconstruct_command(asked: ReconstructArguments) -> None:
+    """Print what was done, and what was left out."""
+    _report(str(asked.source), _reconstructed(asked))
 
 
 def _with_transfer(rig: Rig, transfer: str | None) -> Rig:

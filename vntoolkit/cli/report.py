@@ -1,29 +1,43 @@
 """`vntoolkit report`: write an HTML page on the quality of a reconstruction."""
 
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
 
-from vntoolkit.cli.flags import Flags, verb
 from vntoolkit.cli.output import PAGE, print_next, require_output
+from vntoolkit.cli.verb import command, verb
 from vntoolkit.io.results.manifest import read_manifest
-from vntoolkit.report.report import ReportOptions, write_report
+from vntoolkit.options.base import File, OptionalFile, named
+from vntoolkit.options.footage import ReadingLimits
+from vntoolkit.options.pages import ReportOptions
+from vntoolkit.report import report as pages
 
 
-@verb("max_megapixels", "max_vertices")
-def report(
-    folder: Path, *, out: Path | None = None, options: Annotated[ReportOptions | None, Flags()] = None
-) -> None:
-    """Write one self-contained HTML page on a reconstruction: pictures, calibration, statistics, warnings.
+@dataclass(frozen=True, kw_only=True)
+class ReportArguments(ReportOptions, ReadingLimits):
+    """What `write_report` takes."""
 
-    Parameters
-    ----------
-    folder
-        The folder that `vntoolkit reconstruct` wrote.
-    out
-        The page to write; default FOLDER/report.html.
-    """
-    require_output(out, PAGE)
-    print(write_report(folder, out, options))
+    folder: File = field(kw_only=False)
+    """The folder that `vntoolkit reconstruct` wrote."""
+    out: OptionalFile = named(None)
+    """The page to write; default FOLDER/report.html."""
+
+
+def _written(asked: ReportArguments) -> Path:
+    require_output(asked.out, PAGE)
+    return pages.write_report(Path(asked.folder), asked.out, asked.part(ReportOptions))
+
+
+@verb(ReportArguments)
+def write_report(asked: ReportArguments) -> Path:
+    """Write one self-contained HTML page on a reconstruction: pictures, calibration, statistics, warnings."""
+    return _written(asked)
+
+
+@command(write_report)
+def report(asked: ReportArguments) -> None:
+    """Print the page's name and what comes next."""
+    print(_written(asked))
+    folder = Path(asked.folder)
     if (folder / "track").is_dir():
         print_next("export", folder, "--to", "usd")
     elif (folder / "depth").is_dir() and read_manifest(folder).input.frame_count > 1:

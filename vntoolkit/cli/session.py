@@ -1,88 +1,78 @@
 """`vntoolkit session`: reconstruct and track many captures, on one machine or several."""
 
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
 
-from cyclopts import Parameter
-
-from vntoolkit.cli import flags
 from vntoolkit.cli.output import ProgressBars, print_next
-from vntoolkit.cli.reconstruct import ReconstructFlags, RunFlags
+from vntoolkit.cli.reconstruct import RunArguments
+from vntoolkit.cli.verb import command, verb
 from vntoolkit.errors import BadInput, VntError
-from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.rigs import read_rig
-from vntoolkit.pipeline.options import Product, ReconstructOptions
-from vntoolkit.pipeline.outputs import ReconstructionFolder
+from vntoolkit.options.base import File, Named, OptionalFile, Source, named
+from vntoolkit.options.reconstruction import Product
+from vntoolkit.options.tracking import Tracker, TrackerName, TrackingOptions
 from vntoolkit.pipeline.session import CaptureOutcome, names_from_sources, run_session
-from vntoolkit.tracking.options import Tracker, TrackingOptions
 
 
-@flags.verb("max_megapixels")
-def session(
-    *sources: str,
-    rig: Path,
-    out: Path,
-    track: Annotated[bool, Parameter(negative=())] = False,
-    method: Tracker = Tracker.DEFAULT,
-    mask: Path | None = None,
-    overwrite: flags.Overwrite = False,
-    running: Annotated[RunFlags | None, flags.Flags()] = None,
-    options: ReconstructFlags = None,
-) -> None:
+@dataclass(frozen=True, kw_only=True)
+class SessionArguments(RunArguments):
+    """What `session` takes."""
+
+    sources: tuple[Source, ...] = field(kw_only=False)
+    """Videos or folders of images: take1.mkv take2.mkv ..."""
+    rig: File
+    """The rig.json of all these captures."""
+    out: File
+    """The folder to write. It gets one folder per capture: take1, take2, ..."""
+    track: bool = False
+    """Also register the frames of each capture to one mesh."""
+    method: Named[Tracker, TrackerName] = named(Tracker.DEFAULT)
+    """Tracking method, as for `vntoolkit track`."""
+    mask: OptionalFile = named(None)
+    """White where the subject is: an image for all captures; or a folder that holds an image, a video or a
+    folder of mattes for each, named as the capture is: take1.png, take1.mkv or take1."""
+
+
+def _outcomes(asked: SessionArguments) -> list[CaptureOutcome]:
+    if not asked.sources:
+        raise BadInput("session: expected at least one video or folder of images, got none")
+    if asked.track and asked.to is Product.NORMALS:
+        raise BadInput("--track needs depth: give --to depth or mesh, not normals")
+    if asked.method is not Tracker.DEFAULT and not asked.track:
+        raise BadInput("--method needs --track")
+    lit_by, out = read_rig(Path(asked.rig)), Path(asked.out)
+    captures = {
+        name: asked.job(source, lit_by, out / name, _mask_of(name, asked.mask))
+        for name, source in names_from_sources(tuple(map(str, asked.sources))).items()
+    }
+    with ProgressBars() as bars:
+        return run_session(
+            captures,
+            tracking=TrackingOptions(method=asked.method) if asked.track else None,
+            frames=asked.range,
+            workers=asked.jobs,
+            scheduler=asked.scheduler,
+            overwrite=asked.overwrite,
+            on_capture=bars.begin,
+            on_frame=bars.step,
+        )
+
+
+@verb(SessionArguments)
+def session(asked: SessionArguments) -> list[CaptureOutcome]:
     """Reconstruct all captures of one rig, and track them on request, each into its own folder.
 
     A capture that fails is reported at the end; the others are still done. The same command again continues
     an interrupted run. With a scheduler, all workers reconstruct the frames of one capture, and one of them
     tracks it while the others reconstruct the next.
-
-    Parameters
-    ----------
-    sources
-        Videos or folders of images: take1.mkv take2.mkv ...
-    rig
-        The rig.json of all these captures.
-    out
-        The folder to write. It gets one folder per capture: take1, take2, ...
-    track
-        Also register the frames of each capture to one mesh.
-    method
-        Tracking method, as for `vntoolkit track`.
-    mask
-        White where the subject is: an image for all captures; or a folder that holds an image, a video or a
-        folder of mattes for each, named as the capture is: take1.png, take1.mkv or take1.
-    overwrite
-        Replace the reconstructions and tracks that the folders hold.
     """
-    if not sources:
-        raise BadInput("session: expected at least one video or folder of images, got none")
-    options, running = options or ReconstructOptions(), running or RunFlags()
-    if track and options.to is Product.NORMALS:
-        raise BadInput("--track needs depth: give --to depth or mesh, not normals")
-    if method is not Tracker.DEFAULT and not track:
-        raise BadInput("--method needs --track")
-    lit_by = read_rig(rig)
-    captures = {
-        name: running.job(
-            source=source,
-            rig=lit_by,
-            options=options,
-            folder=ReconstructionFolder(root=out / name),
-            mask=_mask_of(name, mask),
-        )
-        for name, source in names_from_sources(sources).items()
-    }
-    with ProgressBars() as bars:
-        outcomes = run_session(
-            captures,
-            tracking=TrackingOptions(method=method) if track else None,
-            frames=FrameRange.from_text(running.frames),
-            workers=running.jobs,
-            scheduler=running.scheduler,
-            overwrite=overwrite,
-            on_capture=bars.begin,
-            on_frame=bars.step,
-        )
-    _report(out, outcomes)
+    return _outcomes(asked)
+
+
+@command(session)
+def session_command(asked: SessionArguments) -> None:
+    """Print a line for each capture; raise `VntError` where one failed."""
+    _report(Path(asked.out), _outcomes(asked))
 
 
 def _mask_of(name: str, mask: Path | None) -> Path | None:

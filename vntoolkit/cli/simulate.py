@@ -1,70 +1,78 @@
 """`vntoolkit simulate`: render a synthetic capture with ground truth."""
 
 import re
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import ClassVar
 
-from cyclopts import Parameter
-
-from vntoolkit.cli.flags import Flags, Frames, Jobs, Overwrite, verb
 from vntoolkit.cli.output import ProgressBars, print_next
+from vntoolkit.cli.verb import command, verb
 from vntoolkit.errors import BadInput
 from vntoolkit.io.footage.frame_range import FrameRange
-from vntoolkit.pipeline.simulate import SimulationFolder, SimulationJob
+from vntoolkit.options.base import File, OptionalFile, named
+from vntoolkit.options.shared import FrameOptions, JobOptions
+from vntoolkit.options.simulation import Nuisances, RenderOptions, SceneOptions
+from vntoolkit.pipeline.simulate import SimulationFolder, SimulationJob, SimulationSummary
 from vntoolkit.pipeline.simulate import simulate as run
-from vntoolkit.simulation.nuisances import Nuisances
-from vntoolkit.simulation.render import RenderOptions
-from vntoolkit.simulation.scene import SCENES, SceneOptions
 
-_FLAGS = Flags(without=("width", "height"), renamed={"field_width_m": "field-width"})
 _MOST_MEGAPIXELS = 200  # as readers take by default
 
 
-@verb()
-def simulate(
-    scene: Annotated[str, Parameter(help=f"One of {', '.join(SCENES)}.")],
-    *,
-    out: Path,
-    frames: Frames = "::",
-    size: str = "640x480",
-    motion: Path | None = None,
-    jobs: Jobs = 1,
-    overwrite: Overwrite = False,
-    options: Annotated[SceneOptions | None, _FLAGS] = None,
-    nuisances: Annotated[Nuisances | None, Flags()] = None,
-    rendering: Annotated[RenderOptions | None, Flags(without=("threads",))] = None,
-) -> None:
-    """Render a synthetic scene under three coloured lights, with ground truth beside the video.
+@dataclass(frozen=True, kw_only=True)
+class SimulateArguments(FrameOptions, SceneOptions, Nuisances, RenderOptions, JobOptions):
+    """What `simulate` takes."""
 
-    The same command again continues an interrupted run.
+    WITHOUT: ClassVar[tuple[str, ...]] = ("width", "height", "threads")
 
-    Parameters
-    ----------
-    out
-        The folder to write: capture.mkv, truth, contact_sheet.png and simulation.json.
-    size
-        Image size in pixels, WIDTHxHEIGHT.
-    motion
-        A .npy file of vertices (frames, n, 3), metres in the camera frame, that replaces the scene's motion.
-    overwrite
-        Replace the capture that the folder holds.
-    """
-    width, height = _size(size)
+    scene: str = field(kw_only=False)
+    """One of cylinder, board, board_sweep, sphere, gel, jacket, sweater, sweater_stripes, sweater_logo,
+    sweater_tartan, spandex, head_turn, face, face_makeup."""
+    out: File
+    """The folder to write: capture.mkv, truth, contact_sheet.png and simulation.json."""
+    size: str = "640x480"
+    """Image size in pixels, WIDTHxHEIGHT."""
+    motion: OptionalFile = named(None)
+    """A .npy file of vertices (frames, n, 3), metres in the camera frame, that replaces the scene's
+    motion."""
+    overwrite: bool = False
+    """Replace the capture that the folder holds."""
+
+
+def _simulated(asked: SimulateArguments) -> tuple[SimulationJob, SimulationSummary]:
+    width, height = _size(asked.size)
     job = SimulationJob(
-        scene=scene,
-        folder=SimulationFolder(root=out),
-        options=replace(options or SceneOptions(), width=width, height=height),
-        nuisances=nuisances or Nuisances(),
-        rendering=rendering or RenderOptions(),
-        frames=FrameRange.from_text(frames),
-        motion=motion,
+        scene=asked.scene,
+        folder=SimulationFolder(root=Path(asked.out)),
+        options=replace(asked.part(SceneOptions), width=width, height=height),
+        nuisances=asked.part(Nuisances),
+        rendering=asked.part(RenderOptions),
+        frames=FrameRange.from_text(asked.frames or "::"),
+        motion=asked.motion,
     )
     with ProgressBars() as bars:
         summary = run(
-            job, jobs=jobs, overwrite=overwrite, on_start=partial(bars.begin, "simulate"), on_frame=bars.step
-        )
+            job, jobs=asked.jobs, overwrite=asked.overwrite, on_start=partial(bars.begin, "simulate"),
+            on_frame=bars.step,
+        )  # fmt: skip
+    return job, summary
+
+
+@verb(SimulateArguments)
+def simulate(asked: SimulateArguments) -> Path:
+    """Render a synthetic scene under three coloured lights, with ground truth beside the video.
+
+    The same command again continues an interrupted run.
+    """
+    _simulated(asked)
+    return Path(asked.out)
+
+
+@command(simulate)
+def simulate_command(asked: SimulateArguments) -> None:
+    """Print what was rendered, and what comes next."""
+    job, summary = _simulated(asked)
+    out, scene = Path(asked.out), asked.scene
     print(f"{out}: {summary.frames} frames of {scene} in capture.mkv, {summary.rendered} rendered now")
     if scene in ("board", "sphere"):
         print_next("calibrate", scene, job.folder.video, "--out", "rig.json")
@@ -73,9 +81,8 @@ def simulate(
         ball = ("--ball-radius-mm", radius, "--pixel-mm", pixel)
         rest = out.with_name("rest") / "capture.mkv"
         if summary.frames == 1:
-            print_next(
-                "simulate", scene, "--out", out.with_name("presses"), "--frames", "1:25", "--size", size
-            )
+            presses = out.with_name("presses")
+            print_next("simulate", scene, "--out", presses, "--frames", "1:25", "--size", asked.size)
             return
         print_next("calibrate", "presses", job.folder.video, "--background", rest, *ball, "--out", "gel.json")
     else:

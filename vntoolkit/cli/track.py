@@ -1,81 +1,88 @@
 """`vntoolkit track`: register all frames of a reconstruction to one mesh."""
 
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from statistics import median
-from typing import Annotated
 
-from cyclopts import Parameter
-
-from vntoolkit.cli.flags import Flags, Footage, Overwrite, verb
 from vntoolkit.cli.output import ProgressBars, print_next
+from vntoolkit.cli.verb import command, verb
+from vntoolkit.geometry.mesh import MeshSequence
 from vntoolkit.io.results.seams import read_seams
-from vntoolkit.pipeline.checkerboard import write_checkerboard
-from vntoolkit.pipeline.refine_albedo import refine_albedo as run_refinement
-from vntoolkit.pipeline.refine_albedo import require_refinable
-from vntoolkit.pipeline.texture import write_texture
-from vntoolkit.pipeline.track import TrackJob
+from vntoolkit.io.results.sequences import read_mesh_sequence
+from vntoolkit.options.base import File, OptionalFile, named
+from vntoolkit.options.footage import ReadingLimits
+from vntoolkit.options.shared import MovedFootageOptions
+from vntoolkit.options.tracking import CheckerboardOptions, TrackingOptions
+from vntoolkit.pipeline.checkerboard import CheckerboardFiles, write_checkerboard
+from vntoolkit.pipeline.texture import TextureSummary, write_texture
+from vntoolkit.pipeline.track import TrackJob, TrackSummary
 from vntoolkit.pipeline.track import track as run
-from vntoolkit.tracking.checkerboard import CheckerboardOptions
-from vntoolkit.tracking.options import TrackingOptions
 
 
-@verb("max_megapixels", "max_vertices")
-def track(
-    folder: Path,
-    *,
-    seams: Path | None = None,
-    template: int | None = None,
-    out: Path | None = None,
-    lost_px: float = 4.0,
-    refine_albedo: Annotated[bool, Parameter(negative=())] = False,
-    footage: Footage = "",
-    background: Path | None = None,
-    overwrite: Overwrite = False,
-    tracking: Annotated[TrackingOptions | None, Flags()] = None,
-    board: Annotated[CheckerboardOptions | None, Flags()] = None,
-) -> None:
+@dataclass(frozen=True, kw_only=True)
+class TrackArguments(MovedFootageOptions, TrackingOptions, CheckerboardOptions, ReadingLimits):
+    """What `track` takes."""
+
+    folder: File = field(kw_only=False)
+    """The folder that `vntoolkit reconstruct` wrote, with normals and depth."""
+    seams: OptionalFile = named(None)
+    """JSON file of polylines on the template image. The surface is cut along them, as at mouth and eyes."""
+    template: int | None = None
+    """Number of the template frame. Default: the first. It is tracked forwards and backwards."""
+    out: OptionalFile = named(None)
+    """The folder to write; default FOLDER/track."""
+    lost_px: float = 4.0
+    """A vertex is called lost where its expected error is above this, in pixels."""
+    background: OptionalFile = named(None)
+    """The background image that the reconstruction subtracted, for the colours of the texture."""
+    overwrite: bool = False
+    """Replace the tracks that the folder holds."""
+
+
+def _job(asked: TrackArguments) -> TrackJob:
+    return TrackJob(
+        folder=Path(asked.folder),
+        options=asked.part(TrackingOptions),
+        template=asked.template,
+        seams=() if asked.seams is None else read_seams(asked.seams),
+        out=asked.out,
+        lost_px=asked.lost_px,
+        footage=asked.footage,
+        background=asked.background,
+    )
+
+
+def _tracked(asked: TrackArguments, job: TrackJob) -> tuple[TrackSummary, CheckerboardFiles]:
+    with ProgressBars() as bars:
+        summary = run(
+            job, overwrite=asked.overwrite, on_start=partial(bars.begin, "track"), on_frame=bars.step
+        )
+    return summary, write_checkerboard(job.folder, job.target, asked.part(CheckerboardOptions))
+
+
+def _textured(asked: TrackArguments, job: TrackJob) -> TextureSummary:
+    return write_texture(job.folder, job.target, footage=asked.footage, background=asked.background)
+
+
+@verb(TrackArguments)
+def track(asked: TrackArguments) -> MeshSequence:
     """Register the frames of a reconstruction to one mesh of fixed topology, and draw a checkerboard on it.
 
     Its texture is gathered from the footage, which is read again for that. The same command again continues
     an interrupted run.
-
-    Parameters
-    ----------
-    folder
-        The folder that `vntoolkit reconstruct` wrote, with normals and depth.
-    seams
-        JSON file of polylines on the template image. The surface is cut along them, as at mouth and eyes.
-    template
-        Number of the template frame. Default: the first. It is tracked forwards and backwards.
-    out
-        The folder to write; default FOLDER/track.
-    lost_px
-        A vertex is called lost where its expected error is above this, in pixels.
-    refine_albedo
-        Average over the frames what they tell of every vertex's reflectance, and write normals, depth and
-        meshes again with it into refined/ beside the tracks: paint is then the same in all frames. Needs a
-        rig with the colours of its lamps.
-    background
-        The background image that the reconstruction subtracted, for the colours of the texture.
-    overwrite
-        Replace the tracks that the folder holds.
     """
-    if refine_albedo:
-        require_refinable(folder, footage=footage, background=background)
-    job = TrackJob(
-        folder=folder,
-        options=tracking or TrackingOptions(),
-        template=template,
-        seams=() if seams is None else read_seams(seams),
-        out=out,
-        lost_px=lost_px,
-        footage=footage,
-        background=background,
-    )
-    with ProgressBars() as bars:
-        summary = run(job, overwrite=overwrite, on_start=partial(bars.begin, "track"), on_frame=bars.step)
-    files = write_checkerboard(folder, job.target, board)
+    job = _job(asked)
+    _tracked(asked, job)
+    _textured(asked, job)
+    return read_mesh_sequence(job.target)
+
+
+@command(track)
+def track_command(asked: TrackArguments) -> None:
+    """Print how much was tracked, and what was drawn."""
+    job = _job(asked)
+    summary, files = _tracked(asked, job)
     held = f", {len(summary.missing)} missing and held" if summary.missing else ""
     resumed = f", {summary.resumed} of them from before" if summary.resumed else ""
     print(f"{summary.folder}: {summary.vertices} vertices, {summary.frames} frames{resumed}{held}")
@@ -83,20 +90,7 @@ def track(
         middle, least = median(summary.visible), min(summary.visible)
         print(f"reported visible: {middle:.1%} of the vertices, {least:.1%} in the worst frame")
     print(f"{files.video}, {files.sheet.name}")
-    made = write_texture(folder, job.target, footage=footage, background=background)
+    made = _textured(asked, job)
     shown = made.texture.albedo or made.texture.normal
     print(f"{shown}: {made.covered:.1%} of the surface from {made.frames} frames, the rest filled")
-    if refine_albedo:
-        with ProgressBars() as bars:
-            refined = run_refinement(
-                folder, job.target, footage=footage, background=background, overwrite=overwrite,
-                on_start=partial(bars.begin, "reconstruct"), on_frame=bars.step,
-            )  # fmt: skip
-        known, again = refined.reflectance, refined.reconstruction
-        print(
-            f"{again.folder}: {again.done + again.resumed} of {again.frames} frames again, with the "
-            f"reflectance of {known.seen:.1%} of the vertices from {known.frames} frames; {known.described()}"
-        )
-        print_next("track", again.folder)
-        return
     print_next("dress", job.target, "--motion", "data/walk.bvh", "--out", "cloth.usdc")

@@ -1,50 +1,71 @@
 """`vntoolkit view`: look at a reconstruction in a browser."""
 
 import contextlib
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
 
-from vntoolkit.cli.flags import Flags, Footage, Frames, verb
 from vntoolkit.cli.output import PAGE, print_next, progress_bar, require_output
+from vntoolkit.cli.verb import command, verb
 from vntoolkit.io.footage.frame_range import FrameRange
-from vntoolkit.pipeline.opened_result import open_result
-from vntoolkit.report.local_server import ViewerOptions
-from vntoolkit.report.result_scene import ResultViewer, ScenePageOptions, counted, write_scene
+from vntoolkit.options.base import File, OptionalFile, named
+from vntoolkit.options.footage import ReadingLimits
+from vntoolkit.options.pages import ScenePageOptions, ViewerOptions
+from vntoolkit.options.shared import FrameOptions, MovedFootageOptions
+from vntoolkit.pipeline.opened_result import OpenedResult, open_result
+from vntoolkit.report.result_scene import ResultViewer, counted, write_scene
 
 
-@verb("max_megapixels", "max_vertices")
-def view(
-    folder: Path,
-    *,
-    frames: Frames = "::",
-    footage: Footage = "",
-    html: Path | None = None,
-    viewer: Annotated[ViewerOptions | None, Flags()] = None,
-    scene: Annotated[ScenePageOptions | None, Flags()] = None,
-) -> None:
+@dataclass(frozen=True, kw_only=True)
+class ViewArguments(FrameOptions, MovedFootageOptions, ViewerOptions, ScenePageOptions, ReadingLimits):
+    """What `view` takes."""
+
+    folder: File = field(kw_only=False)
+    """The folder that `vntoolkit reconstruct` wrote, tracked or not."""
+    html: OptionalFile = named(None)
+    """Write one self-contained page that opens offline, instead of serving."""
+
+
+def _opened(asked: ViewArguments) -> OpenedResult:
+    require_output(asked.html, PAGE)
+    frames = FrameRange.from_text(asked.frames or "::")
+    return open_result(Path(asked.folder), frames=frames, footage=asked.footage)
+
+
+def _written(asked: ViewArguments, result: OpenedResult, html: Path) -> int:
+    """Write the page; return how many frames it has."""
+    scene = asked.part(ScenePageOptions)
+    count = min(len(result.numbers), scene.most_frames)
+    with progress_bar("scene", count) as advance:
+        write_scene(html, result, scene, on_frame=lambda: advance(1))
+    return count
+
+
+@verb(ViewArguments)
+def view(asked: ViewArguments) -> ResultViewer | Path:
     """Serve a page on which one scrubs through a reconstruction and drags a light; or write one to keep.
 
-    Parameters
-    ----------
-    folder
-        The folder that `vntoolkit reconstruct` wrote, tracked or not.
-    html
-        Write one self-contained page that opens offline, instead of serving.
+    In Python the server is returned: `.address` is its page, and `.close()` ends it; or the page's name.
     """
-    require_output(html, PAGE)
-    result = open_result(folder, frames=FrameRange.from_text(frames), footage=footage)
-    if html is not None:
-        scene = scene or ScenePageOptions()
-        count = min(len(result.numbers), scene.most_frames)
-        with progress_bar("scene", count) as advance:
-            write_scene(html, result, scene, on_frame=lambda: advance(1))
+    result = _opened(asked)
+    if asked.html is None:
+        return ResultViewer(result, asked.part(ViewerOptions))
+    _written(asked, result, asked.html)
+    return asked.html
+
+
+@command(view)
+def view_command(asked: ViewArguments) -> None:
+    """Serve until Ctrl-C, or print what was written."""
+    result = _opened(asked)
+    if asked.html is not None:
+        count = _written(asked, result, asked.html)
         thinned = f" of {len(result.numbers)}, evenly spread" if count < len(result.numbers) else ""
-        print(f"{html}: {counted(count)}{thinned}; {html.stat().st_size / 1e6:.1f} MB")
-        print_next("report", folder)
+        print(f"{asked.html}: {counted(count)}{thinned}; {asked.html.stat().st_size / 1e6:.1f} MB")
+        print_next("report", str(asked.folder))
         return
-    shown = ResultViewer(result, viewer)
+    shown = ResultViewer(result, asked.part(ViewerOptions))
     print(f"{shown.address} (Ctrl-C ends)", flush=True)
     with contextlib.suppress(KeyboardInterrupt):
         shown.wait()
     shown.close()
-    print_next("report", folder)
+    print_next("report", str(asked.folder))

@@ -19,9 +19,10 @@ from vntoolkit.diagnosis.rig_checks import check_stated_focal
 from vntoolkit.errors import BadCapture
 from vntoolkit.io.footage.captures import Capture, CaptureInfo, CaptureOptions, open_capture
 from vntoolkit.io.footage.frame_range import sampled
-from vntoolkit.io.footage.mattes import MatteOptions, Mattes, open_mattes
+from vntoolkit.io.footage.mattes import Mattes, open_mattes
 from vntoolkit.io.footage.pixel_formats import LOSSLESS_CODECS
 from vntoolkit.io.footage.sequence import text_of_names
+from vntoolkit.options.footage import MatteOptions
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import Transfer, TransferCurve

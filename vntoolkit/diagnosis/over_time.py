@@ -52,6 +52,7 @@ FRAMES_IN_A_ROW = 5
 _FEWEST_PIXELS = 400
 _Z = 4.0
 _LIT = 0.15  # of the brightest hundredth
+_FLOW_PX = 16  # a side; OpenCV ends the process on longer strips of 12 pixels, and refuses less
 _RETURN_PX = 1.5
 _RETURN_SHARE = 0.1  # of the motion
 _LOST = 0.5  # of the subject
@@ -312,6 +313,6 @@ def _lost_share(flow: cv2.DISOpticalFlow, now: Float32Array, then: Float32Array,
 def _picture(frame: LinearFrame) -> Float32Array:
     """Return one brightness, (h, w), averaged down; roots even out what is lit well and what is not."""
     factor = min(1.0, _SIDE_PX / max(frame.shape))
-    size = (max(8, round(frame.shape[1] * factor)), max(8, round(frame.shape[0] * factor)))
+    size = (max(_FLOW_PX, round(frame.shape[1] * factor)), max(_FLOW_PX, round(frame.shape[0] * factor)))
     small = cv2.resize(np.asarray(frame.rgb), size, interpolation=cv2.INTER_AREA)
     return np.sqrt(np.maximum(small.mean(axis=2), 0)).astype(np.float32)

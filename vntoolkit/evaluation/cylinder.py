@@ -54,19 +54,6 @@ def intersect(cylinder: Cylinder, origins: FloatArray, rays: FloatArray) -> Inte
     return Intersection(normals=np.where(hit[..., None], normals, 0), along=np.where(hit, along, 0), hit=hit)
 
 
-def distance_from_touching_px(
-    cylinder: Cylinder, origins: FloatArray, rays: FloatArray, camera: Camera
-) -> FloatArray:
-    """How far, in pixels, each ray (n, 3) passes outside (+) or inside (−) the cylinder."""
-    plane = np.stack(across_axis(cylinder.axis, least_aligned(cylinder.axis)))
-    offsets, steps = (cylinder.centre - origins) @ plane.T, rays @ plane.T
-    distance = np.abs(plane_cross(offsets, steps)) / np.linalg.norm(steps, axis=1)
-    angle_or_length = distance - cylinder.radius
-    if camera.is_perspective:  # an angle seen from the camera centre
-        angle_or_length = angle_or_length / np.linalg.norm(offsets, axis=1)
-    return angle_or_length * camera.matrix[0, 0]
-
-
 def across_axis(axis: Vector3, near: Vector3) -> tuple[Vector3, Vector3]:
     """Return two unit vectors that span the plane across the axis, the first as near as can be to `near`."""
     first = near - (near @ axis) * axis

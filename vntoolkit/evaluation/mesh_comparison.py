@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from enum import Enum
 from typing import TypeAlias, TypeVar
 
 import numpy as np
@@ -10,12 +9,13 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from vntoolkit.arrays import FloatArray, Points
-from vntoolkit.errors import BadInput, BadMesh, SolverFailed
+from vntoolkit.errors import BadMesh, SolverFailed
 from vntoolkit.geometry.mesh import Mesh, vertex_normals
 from vntoolkit.geometry.point_cloud import PointCloud
 from vntoolkit.geometry.rays import RayScene
 from vntoolkit.geometry.rigid import RigidTransform, Similarity
 from vntoolkit.native import import_pymeshlab
+from vntoolkit.options.evaluation import Alignment, AlignmentOptions, MeasuredBy
 
 _FARTHEST = 1000.0  # times the smaller mesh's size: pymeshlab searches in steps of that, beyond for minutes
 _OTHER_SCALE = 10.0  # ratio of sizes from which two surfaces are hardly in one unit
@@ -88,13 +88,6 @@ def mesh_distance(mesh: Compared, reference: Compared) -> MeshDistance:
     """Measure two surfaces in one frame; raises as `vertex_distances`."""
     to_reference, from_reference = vertex_distances(mesh, reference), vertex_distances(reference, mesh)
     return MeshDistance.from_vertices(to_reference, from_reference, reference.diagonal)
-
-
-class MeasuredBy(Enum):
-    """Who measures distances."""
-
-    EMBREE = "embree"  # the exact nearest point, however far, through Open3D
-    PYMESHLAB = "pymeshlab"  # MeshLab's own search, to compare with
 
 
 def vertex_distances(
@@ -170,31 +163,6 @@ def mismatch(mesh: Compared, reference: Compared) -> str:
     )
 
 
-class Alignment(Enum):
-    """Which motion aligns the meshes."""
-
-    NONE = "none"
-    RIGID = "rigid"
-    SIMILARITY = "similarity"  # and one scale: that of a perspective camera's depth
-
-
-@dataclass(frozen=True, kw_only=True)
-class AlignmentOptions:
-    """How meshes are aligned.
-
-    free: what may move: nothing, position and orientation (rigid), or the scale too (similarity).
-    samples: vertices that are paired.
-    """
-
-    free: Alignment = Alignment.NONE
-    samples: int = 20000
-
-    def __post_init__(self) -> None:
-        """Refuse what leaves nothing to align by."""
-        if self.samples < 3:
-            raise BadInput(f"alignment: expected at least 3 samples, got {self.samples}")
-
-
 def align_mesh(
     mesh: S, reference: Compared, rng: np.random.Generator, options: AlignmentOptions | None = None
 ) -> tuple[S, Similarity]:
@@ -205,7 +173,7 @@ def align_mesh(
     """
     options = options or AlignmentOptions()
     motion = Similarity(scale=1.0, rigid=RigidTransform())
-    if options.free is Alignment.NONE:
+    if options.align is Alignment.NONE:
         return mesh, motion
     for name, each in (("mesh", mesh), ("reference mesh", reference)):
         if len(positions(each)) < _FEWEST_VERTICES:
@@ -225,7 +193,7 @@ def align_mesh(
         moved = motion.apply(sampled)
         distances, nearest = tree.query(moved)
         kept = distances <= np.quantile(distances, _KEPT_SHARE)
-        step = _step(moved[kept], targets[nearest[kept]], normals[nearest[kept]], options.free)
+        step = _step(moved[kept], targets[nearest[kept]], normals[nearest[kept]], options.align)
         rigid = RigidTransform(
             rotation=step.rigid.rotation @ motion.rigid.rotation,
             translation=step.apply(motion.rigid.translation),

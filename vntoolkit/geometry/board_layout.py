@@ -22,18 +22,18 @@ NORMAL_IN_BOARD = (0.0, 0.0, -1.0)
 
 @dataclass(frozen=True, kw_only=True)
 class BoardLayout:
-    """Sizes of a board; the defaults fit on A4 and have a hole of 45 % of the width.
-
-    columns, rows: squares across and down; rows and columns odd, so that the hole is centred on squares.
-    square_mm: side of a square, millimetres. marker_share: side of a marker over that of its square.
-    hole_squares: side of the hole in squares, odd; 0 for none.
-    """
+    """Sizes of a board; the defaults fit on A4 and have a hole of 45 % of the width."""
 
     columns: int = 11
+    """Squares across, odd, so that the hole is centred on squares."""
     rows: int = 11
+    """Squares down, odd, so that the hole is centred on squares."""
     square_mm: float = 16.0
+    """Side of a square, millimetres."""
     marker_share: float = 0.7
+    """Side of a marker over that of its square."""
     hole_squares: int = 5
+    """Side of the hole in squares, odd; 0 for none."""
 
     def __post_init__(self) -> None:
         if self.columns % 2 == 0 or self.rows % 2 == 0 or min(self.columns, self.rows) < 3:

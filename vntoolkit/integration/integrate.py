@@ -25,10 +25,10 @@ from vntoolkit.integration.edges import (
     edges_from_slopes,
     graph_from_domain,
 )
-from vntoolkit.integration.options import IntegrationOptions, Integrator, Precision
 from vntoolkit.integration.poisson import CosineSolver, FourierSolver, MaskedSolver, RectangleSolver
 from vntoolkit.integration.slopes import RayField, rays_from_camera, slopes_from_normals
 from vntoolkit.native import njit
+from vntoolkit.options.depth import IntegrationOptions, Integrator, Precision
 
 _RECTANGLE = (Integrator.COSINE, Integrator.FOURIER)
 _LEAST_TRUST = np.float32(1e-4)  # of a pixel in the domain: with none, what lies beyond it would float

@@ -1,6 +1,5 @@
 """The calibration board as a PDF page, drawn to scale."""
 
-from enum import Enum
 from pathlib import Path
 from typing import Any
 
@@ -9,21 +8,12 @@ import cv2
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.board_layout import MARKER_DICTIONARY, BoardLayout
 from vntoolkit.io.atomic import atomic_path
+from vntoolkit.options.pages import PageSize
 
 _CELLS = 6  # a 4×4 marker with its black border
 _MARGIN_MM = 10.0  # what printers cannot reach
 _SCALE_BAR_MM = 100.0
 _TEXT_HEIGHT_MM = 24.0
-
-
-class PageSize(Enum):
-    """Paper, (width, height) in millimetres, upright."""
-
-    A4 = (210.0, 297.0)
-    A3 = (297.0, 420.0)
-    A2 = (420.0, 594.0)
-    LETTER = (215.9, 279.4)
-    TABLOID = (279.4, 431.8)
 
 
 def write_board_pdf(path: Path | str, layout: BoardLayout, page: PageSize = PageSize.A4) -> None:

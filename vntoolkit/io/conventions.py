@@ -1,48 +1,10 @@
 """Axes on disk: conventions of normal maps, and the flip between camera frame and graphics frame."""
 
-from enum import Enum
-
 import numpy as np
 
 from vntoolkit.arrays import FloatArray
 from vntoolkit.geometry.motion import Motion
-
-
-class NormalConvention(Enum):
-    """Axes of a normal map file.
-
-    OPENGL: x right, y up, z towards the viewer (Blender, DiLiGenT, ours; the default). DIRECTX: the same with
-    y down (green flipped). OPENCV: x right, y down, z away from the viewer, the camera frame itself.
-    """
-
-    OPENGL = "opengl"
-    DIRECTX = "directx"
-    OPENCV = "opencv"
-
-    @property
-    def signs(self) -> tuple[float, float, float]:
-        """Factors of x, y, z between the camera frame and this convention; their own inverse."""
-        return {"opengl": (1.0, -1.0, -1.0), "directx": (1.0, 1.0, -1.0), "opencv": (1.0, 1.0, 1.0)}[
-            self.value
-        ]
-
-
-class MeshUpAxis(Enum):
-    """Which axis of a mesh file points up.
-
-    Y: x right, y up, z towards the viewer (ours, MeshLab's, glTF's; the default). Z: x right, y away from the
-    viewer, z up (Blender's own, CAD's, robotics').
-    """
-
-    Y = "y"
-    Z = "z"
-
-    @property
-    def meaning(self) -> str:
-        """The three axes in words."""
-        if self is MeshUpAxis.Y:
-            return "x right, y up, z towards the viewer"
-        return "x right, y away from the viewer, z up"
+from vntoolkit.options.export import MeshUpAxis
 
 
 def graphics_from_camera(vectors: FloatArray, up: MeshUpAxis = MeshUpAxis.Y) -> FloatArray:

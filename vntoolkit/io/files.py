@@ -7,17 +7,16 @@ this process; the command line sets them by `--max-megapixels` and `--max-vertic
 import contextlib
 import hashlib
 import json
-import math
 import os
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from io import BufferedReader
 from pathlib import Path
 from typing import Any
 
 from vntoolkit.errors import BadInput, BadMesh
+from vntoolkit.options.footage import ReadingLimits
 from vntoolkit.photometry.rig import SourceFile
 
 _MOST_BYTES = 16 << 20  # of a text or JSON; the longest, a manifest of 100,000 images, has 12 MB
@@ -155,29 +154,6 @@ def _without_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 _BYTES_PER_VERTEX = 256  # with its faces, normal, colour and texture coordinates, as text of full precision
 _BYTES_BESIDE = 1 << 20
-
-
-@dataclass(frozen=True, kw_only=True)
-class ReadingLimits:
-    """The largest files that are read.
-
-    max_megapixels: larger images and frames are refused before memory is asked for them (million pixels).
-    max_vertices: meshes and point clouds of more vertices are refused, and so are files too long for as many.
-    """
-
-    max_megapixels: float = 200.0
-    max_vertices: int = 20_000_000
-
-    def __post_init__(self) -> None:
-        """Refuse limits that would let everything in, or nothing."""
-        if not self.max_megapixels > 0 or math.isinf(self.max_megapixels):
-            raise BadInput(
-                f"--max-megapixels: expected a number above 0, such as 400, got {self.max_megapixels:g}"
-            )
-        if self.max_vertices < 1:
-            raise BadInput(
-                f"--max-vertices: expected a whole number above 0, such as 50000000, got {self.max_vertices}"
-            )
 
 
 _current = [ReadingLimits()]

@@ -15,11 +15,12 @@ from vntoolkit.checks import require_shape
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.io.atomic import atomic_path, write_text
-from vntoolkit.io.conventions import NormalConvention, graphics_from_camera
+from vntoolkit.io.conventions import graphics_from_camera
 from vntoolkit.io.files import read_text, require_inside
 from vntoolkit.io.footage.images import write_png
 from vntoolkit.io.maps_and_meshes.label_images import write_mask
 from vntoolkit.io.maps_and_meshes.maps import write_normal_map
+from vntoolkit.options.export import NormalConvention
 
 _EXPECTED = "x y z, and perhaps red green blue, per light"
 _CAMERA_FROM_GRAPHICS = np.array([1.0, -1.0, -1.0])

@@ -5,7 +5,6 @@ them stands a slot for the newest frames. A frame that finds it full pushes the 
 so the picture on the screen is never more than a few frames old.
 """
 
-import math
 import queue
 import threading
 import time
@@ -26,6 +25,7 @@ from vntoolkit.io.footage.captures import Capture
 from vntoolkit.io.footage.decoding import EncodedFrame
 from vntoolkit.io.footage.video import write_video
 from vntoolkit.live.frames import Begun, LiveProcessor, LiveResult
+from vntoolkit.options.pages import CameraOptions
 from vntoolkit.pipeline.block_work import side_by_side
 
 _MOST_CAMERAS = 100  # OpenCV reads the hundreds of a number as the driver to take; a negative one crashes it
@@ -54,27 +54,6 @@ class LiveSource(Protocol):
     def frames(self) -> Iterator[TimedFrame]:
         """Yield frames as they come, until the source ends."""
         ...
-
-
-@dataclass(frozen=True, kw_only=True)
-class CameraOptions:
-    """What is asked of a camera, which gives the nearest that it can.
-
-    width: width in pixels of the picture that the camera is asked for; after crop and rectification it must
-    be the rig's. Not for a video, which has its own. height: the same for the height. rate: frames a second
-    that the camera is asked for; a video plays at its own with --realtime, else as fast as it can be read.
-    """
-
-    width: int = 1280
-    height: int = 720
-    rate: float = 30.0
-
-    def __post_init__(self) -> None:
-        if self.width < 1 or self.height < 1 or not 0 < self.rate < math.inf:
-            raise BadInput(
-                "camera: expected a positive width, height and rate, got "
-                f"{self.width}×{self.height} pixels and {self.rate:g} a second"
-            )
 
 
 class CameraSource:

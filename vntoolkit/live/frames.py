@@ -16,12 +16,12 @@ from vntoolkit.integration.integrate import DepthAnchor, DepthIntegrator
 from vntoolkit.io.footage.decoding import EncodedFrame, linear_frame_from_encoded, rectify_frame
 from vntoolkit.io.footage.mattes import PlateKey
 from vntoolkit.native import loops_may_overlap, njit
+from vntoolkit.options.normals import ShadowMethod
+from vntoolkit.options.reconstruction import MaterialSearch, Product, ReconstructOptions
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline.contact import Contact, contact_from_depth, rested
 from vntoolkit.pipeline.frame_processor import FrameProcessor
-from vntoolkit.pipeline.options import MaterialSearch, Product, ReconstructOptions
 from vntoolkit.pipeline.outputs import FrameResult
-from vntoolkit.shadows.detector import ShadowMethod
 
 Begun = tuple[FrameResult, tuple[str, ...]]  # normals, and warnings of the exposure
 _CLIPPED_SHARE = 0.01  # of all pixels: more ruins normals

@@ -19,9 +19,10 @@ from vntoolkit.errors import BadInput, VntError
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.live.capture import LatencyMeter, LiveFigures, LiveRecorder, TimedFrame
 from vntoolkit.live.frames import LiveResult, exposure_warnings
+from vntoolkit.options.pages import ViewerOptions
 from vntoolkit.pipeline.contact import Contact
 from vntoolkit.report import scene
-from vntoolkit.report.local_server import LocalServer, ViewerOptions
+from vntoolkit.report.local_server import LocalServer
 
 _CAPTION_S = 0.4  # numbers that change faster cannot be read
 _WARNED_S = 1.5  # a warning stays for so long, so that it can be read

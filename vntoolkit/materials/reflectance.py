@@ -12,13 +12,12 @@ a quadric in 1/ρ with three unknowns (chakrabarti2016). It determines ρ as far
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from vntoolkit.arrays import Matrix3, Points, Vector3
+from vntoolkit.arrays import FloatArray, Matrix3, Points, Vector3
 from vntoolkit.errors import BadInput
-from vntoolkit.native import njit
 from vntoolkit.photometry.response import LightResponse
 
 CAP = 3.0  # standard deviations at which a residual stops to count more
@@ -32,7 +31,7 @@ _STARTS = np.vstack([np.zeros(3), 0.7 * np.eye(3), -0.7 * np.eye(3)])
 
 
 class Lamps(NamedTuple):
-    """What the kernels need of a response.
+    """What a response tells of each lamp.
 
     split: (3, 3), colour to contributions of the lamps. haze: (3,), those of the ambient light. inverse:
     (3, 3), L⁻¹. noise: (3,), standard deviation of each contribution. mixing: (3, 3), split times the
@@ -64,7 +63,7 @@ class Reflectance:
 
 
 def lamps_from_response(response: LightResponse, noise: Vector3) -> Lamps:
-    """Return what the kernels need. noise: (3,), standard deviation of the channels R, G, B.
+    """Return what a response tells of each lamp. noise: (3,), standard deviation of the channels R, G, B.
 
     Raises `BadInput` where the response does not hold the colours of its lamps.
     """
@@ -177,101 +176,35 @@ def _fit(
     s: Points, lamps: Lamps, tolerance: float, start: Vector3, centre: Vector3, prior: Matrix3
 ) -> tuple[Vector3, Matrix3, float]:
     """Gauss–Newton in log ρ with Geman and McClure's weights, from rough to fine."""
-    z, normal_matrix = np.array(start, np.float64), np.zeros((3, 3))
-    cost = _go_down(s, *lamps[1:3], lamps.mixing, tolerance, centre, prior, z, normal_matrix)
-    return z, normal_matrix, cost / max(s.shape[0], 1)
-
-
-@njit(cache=True, error_model="numpy")
-def _go_down(
-    s: Any, haze: Any, inverse: Any, mixing: Any, tolerance: float, centre: Any, prior: Any, z: Any,
-    normal_matrix: Any,
-) -> float:  # fmt: skip
-    """Move z (3,) to the least cost, which is returned, and fill the normal matrix there."""
-    cost, gradient, step = 0.0, np.zeros(3), np.zeros(3)
+    z = np.array(start, np.float64)
     for i in range(_ROUNDS):
-        rough = max(tolerance, _FIRST_TOLERANCE * 0.5**i)
-        normal_matrix[:] = 0.0
-        gradient[:] = 0.0
-        cost = _gather(s, np.exp(-z), haze, inverse, mixing, rough, normal_matrix, gradient)
+        error, variance, slopes = lengths_of_normals(s, np.exp(-z), lamps)
+        variance = variance + max(tolerance, _FIRST_TOLERANCE * 0.5**i) ** 2
+        t = error**2 / variance
+        falling = 1.0 / (1.0 + t / CAP**2)
+        weighed = slopes * (falling**2 / variance)[:, None]
+        normal_matrix = weighed.T @ slopes
         if i + 1 < _ROUNDS:
-            for a in range(3):
-                for b in range(3):
-                    gradient[a] += prior[a, b] * (centre[b] - z[b])
-            _solve(normal_matrix + prior, gradient, step)
-            for a in range(3):
-                z[a] += min(max(step[a], -_LARGEST_STEP), _LARGEST_STEP)
-    return cost
+            step = np.linalg.solve(normal_matrix + prior, prior @ (centre - z) - weighed.T @ error)
+            z = z + step.clip(-_LARGEST_STEP, _LARGEST_STEP)
+    return z, normal_matrix, 0.5 * float((t * falling).sum()) / max(len(s), 1)
 
 
-@njit(cache=True, error_model="numpy")
-def _solve(m: Any, right: Any, out: Any) -> None:
-    """Solve three equations by cofactors: numpy's solver would take ten seconds to compile."""
-    c0 = m[1, 1] * m[2, 2] - m[1, 2] * m[2, 1]
-    c1 = m[1, 2] * m[2, 0] - m[1, 0] * m[2, 2]
-    c2 = m[1, 0] * m[2, 1] - m[1, 1] * m[2, 0]
-    determinant = m[0, 0] * c0 + m[0, 1] * c1 + m[0, 2] * c2
-    r0, r1, r2 = right[0], right[1], right[2]
-    out[0] = r0 * c0 + m[0, 1] * (m[1, 2] * r2 - r1 * m[2, 2]) + m[0, 2] * (r1 * m[2, 1] - m[1, 1] * r2)
-    out[1] = m[0, 0] * (r1 * m[2, 2] - m[1, 2] * r2) + r0 * c1 + m[0, 2] * (m[1, 0] * r2 - r1 * m[2, 0])
-    out[2] = m[0, 0] * (m[1, 1] * r2 - r1 * m[2, 1]) + m[0, 1] * (r1 * m[2, 0] - m[1, 0] * r2) + r0 * c2
-    for a in range(3):
-        out[a] /= determinant
+def lengths_of_normals(
+    s: FloatArray, q: FloatArray, lamps: Lamps
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return |n| − 1 (…), its variance by noise (…), and its derivative by log ρ (…, 3).
 
-
-@njit(cache=True, error_model="numpy")
-def _gather(
-    s: Any, q: Any, haze: Any, inverse: Any, mixing: Any, rough: float, normal_matrix: Any, gradient: Any
-) -> float:
-    """Add up the normal matrix (3, 3) and the gradient (3,) over all pixels; return the cost."""
-    cost = 0.0
-    j = np.empty(3)
-    bias = bias_of_noise(q, inverse, mixing)
-    for p in range(s.shape[0]):
-        e, variance = length_and_variance(s[p], q, haze, inverse, mixing, bias, j)
-        variance += rough * rough
-        t = e * e / variance
-        falling = 1.0 / (1.0 + t / (CAP * CAP))
-        cost += 0.5 * t * falling
-        weight = falling * falling / variance
-        for a in range(3):
-            gradient[a] -= weight * j[a] * e
-            for b in range(3):
-                normal_matrix[a, b] += weight * j[a] * j[b]
-    return cost
-
-
-@njit(cache=True, inline="always", error_model="numpy")
-def length_and_variance(s: Any, q: Any, haze: Any, inverse: Any, mixing: Any, bias: float, j: Any) -> Any:
-    """Return |n| − 1, its variance by noise, and fill j (3,) with its derivative by log ρ.
-
-    bias: what noise adds to |n|² on average; see `bias_of_noise`.
+    s: (…, 3), contributions. q: (3,) or (…, 3), 1 / ρ.
     """
-    x0, x1, x2 = s[0] * q[0] - haze[0], s[1] * q[1] - haze[1], s[2] * q[2] - haze[2]
-    n0 = inverse[0, 0] * x0 + inverse[0, 1] * x1 + inverse[0, 2] * x2
-    n1 = inverse[1, 0] * x0 + inverse[1, 1] * x1 + inverse[1, 2] * x2
-    n2 = inverse[2, 0] * x0 + inverse[2, 1] * x1 + inverse[2, 2] * x2
-    length = np.sqrt(n0 * n0 + n1 * n1 + n2 * n2) + 1e-12
-    over = 1.0 / length
-    h0 = (n0 * inverse[0, 0] + n1 * inverse[1, 0] + n2 * inverse[2, 0]) * over * q[0]
-    h1 = (n0 * inverse[0, 1] + n1 * inverse[1, 1] + n2 * inverse[2, 1]) * over * q[1]
-    h2 = (n0 * inverse[0, 2] + n1 * inverse[1, 2] + n2 * inverse[2, 2]) * over * q[2]
-    j[0], j[1], j[2] = -h0 * s[0], -h1 * s[1], -h2 * s[2]
-    variance = 0.0
-    for c in range(3):
-        along = h0 * mixing[0, c] + h1 * mixing[1, c] + h2 * mixing[2, c]
-        variance += along * along
-    return (length * length - bias - 1.0) / (length + 1.0), variance
+    normals = (s * q - lamps.haze) @ lamps.inverse.T
+    lengths = np.sqrt((normals**2).sum(axis=-1)) + 1e-12
+    along = (normals @ lamps.inverse) * (q / lengths[..., None])
+    variance = ((along @ lamps.mixing) ** 2).sum(axis=-1)
+    error = (lengths**2 - bias_of_noise(q, lamps.inverse, lamps.mixing) - 1.0) / (lengths + 1.0)
+    return error, variance, -along * s
 
 
-@njit(cache=True, error_model="numpy")
-def bias_of_noise(q: Any, inverse: Any, mixing: Any) -> float:
-    """Trace of the covariance of n: noise across a normal makes it longer."""
-    total = 0.0
-    for i in range(3):
-        for c in range(3):
-            along = 0.0
-            for k in range(3):
-                along += inverse[i, k] * q[k] * mixing[k, c]
-            total += along * along
-    return total
+def bias_of_noise(q: FloatArray, inverse: Matrix3, mixing: Matrix3) -> FloatArray:
+    """(…), trace of the covariance of n, of 1 / ρ q (…, 3): noise across a normal makes it longer."""
+    return np.asarray((((inverse * q[..., None, :]) @ mixing) ** 2).sum(axis=(-2, -1)))

@@ -3,25 +3,18 @@
 log s_k = log ρ_k + log(l_k · n). From a small region to its neighbour on the same surface the normal changes
 little. So a large step of the mean of log s is one of paint, and tells the ratio of two reflectances. Pixels
 on the steps themselves are blurred mixtures. They are kept out, and go to the nearest region afterwards.
-
-Light that changes slowly over a subject is no paint. Lamps are near: their light changes from one side to the
-other, and falls with depth. To first order log light changes along rows and columns for each lamp alone, and
-with the depth, on a body about a square of the place, for all lamps together.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
-from numba import prange
-from scipy.ndimage import distance_transform_edt
+from scipy.ndimage import distance_transform_edt, uniform_filter
 
 from vntoolkit.arrays import FloatArray, IntArray, Mask
 from vntoolkit.materials.split_frame import SplitFrame
-from vntoolkit.native import njit
 
 REGION_PX = 8  # side of a region; stripes of half that width are still found
 SHADING_STEP = 0.08  # standard deviation of the step of log s between neighbours by shape and texture
@@ -37,10 +30,6 @@ _FEWEST_CONTACTS = 3
 _FULL_CONTACT_PX = 8.0
 _MOST_CONTACT = 1.5
 _NEIGHBOURS = 3.0  # steps to about six neighbours are counted twice and hold one difference of means each
-CHANGES = 9  # numbers that tell it
-# Standard deviation of each: of log light from the middle of the subject to its edge. Lamps stand a few
-# subjects away.
-UNEVEN = 0.1
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -49,16 +38,13 @@ class Regions:
 
     labels: (h, w) int64, the nearest region to every pixel. plain: (h, w), not on an edge.
     samples: (n, SAMPLES, 3), contributions at pixels of each region. counts: (n,), how many. sizes: (n,).
-    planes: (n, 4, SAMPLES) float32, the same, then 1 where there is a sample and 0 where there is none.
     logs: (n, 3), mean log s. starts: (n + 1,), where the neighbours of each begin in `neighbours` (e,).
-    steps: (e, 3), log s of the neighbour less its own. contacts: (e,), weights of the steps. twins: (e,), the
-    number of the same step from the neighbour's side.
+    steps: (e, 3), log s of the neighbour less its own. contacts: (e,), weights of the steps.
     """
 
     labels: IntArray
     plain: Mask
     samples: FloatArray
-    planes: FloatArray
     counts: IntArray
     sizes: FloatArray
     logs: FloatArray
@@ -66,12 +52,16 @@ class Regions:
     neighbours: IntArray
     steps: FloatArray
     contacts: FloatArray
-    twins: IntArray
 
     @property
     def count(self) -> int:
         """How many regions there are."""
         return len(self.sizes)
+
+    @property
+    def known(self) -> Mask:
+        """(n, SAMPLES), where there is a sample."""
+        return np.asarray(np.arange(SAMPLES) < self.counts[:, None])
 
     @property
     def sources(self) -> IntArray:
@@ -82,8 +72,8 @@ class Regions:
 def regions_of(split: SplitFrame) -> Regions:
     """Cut the lit pixels into regions of about 8 × 8 pixels that keep to edges (achanta2012)."""
     lit = split.lit
-    logs = np.asarray(_mean_logs(split.contributions, lit))
-    plain = lit & ~np.asarray(_is_edge(logs, lit))
+    logs = _mean_logs(split.contributions, lit)
+    plain = lit & ~_is_edge(logs, lit)
     cells, sizes = _cells(logs, plain)
     kept = np.flatnonzero(sizes >= _FEWEST_PX)
     number = np.full(len(sizes) + 1, -1, np.int64)
@@ -99,7 +89,6 @@ def regions_of(split: SplitFrame) -> Regions:
         labels=labels,
         plain=plain,
         samples=samples,
-        planes=_planes(samples, counts),
         counts=counts,
         sizes=sizes[kept].astype(np.float64),
         logs=means,
@@ -107,163 +96,69 @@ def regions_of(split: SplitFrame) -> Regions:
     )
 
 
-def changes_of_light(regions: Regions, split: SplitFrame, frames: int) -> FloatArray:
-    """Return (n, CHANGES, 3), how log s of each region changes with each number.
-
-    split: so many frames of one size, below each other. Places count from the middle of the subject, in units
-    of half its size: the root of three standard deviations, as on a square.
-    """
-    v, u = np.nonzero(regions.plain)
-    of_region = regions.labels[v, u]
-    v = v % (split.lit.shape[0] / frames)
-    sizes = np.maximum(np.bincount(of_region, minlength=regions.count), 1)
-    half = np.sqrt(3.0) * max(u.std(), v.std(), 1.0)
-    x, y = (np.bincount(of_region, at - at.mean(), regions.count) / sizes / half for at in (u, v))
-    along = np.stack([x, y], axis=1)
-    own = np.einsum("np,kl->npkl", along, np.eye(3)).reshape(-1, 6, 3)
-    common = np.stack([x * x, x * y, y * y], axis=1)
-    return np.concatenate([own, np.repeat(common[..., None], 3, axis=2)], axis=1)
-
-
-def levelled(regions: Regions, change: FloatArray) -> Regions:
-    """Return regions as they would be in even light. change: (n, 3), of log s."""
-    share = np.exp(-change)
-    planes = regions.planes.copy()
-    planes[:, :3] *= share[..., None]
-    return replace(regions, samples=regions.samples * share[:, None], planes=planes)
-
-
-@njit(cache=True, parallel=True, error_model="numpy")
-def _mean_logs(s: Any, lit: Any) -> Any:
-    """(h, w, 3), log of the mean over 3 × 3 pixels, 0 where not lit."""
-    h, w, _ = s.shape
-    logs = np.zeros((h, w, 3))
-    for v in prange(h):
-        total = np.empty(3)
-        for u in range(w):
-            if not lit[v, u]:
-                continue
-            total[:] = 0.0
-            count = 0
-            for i in range(max(v - 1, 0), min(v + 2, h)):
-                for j in range(max(u - 1, 0), min(u + 2, w)):
-                    if lit[i, j]:
-                        count += 1
-                        for k in range(3):
-                            total[k] += s[i, j, k]
-            for k in range(3):
-                logs[v, u, k] = np.log(total[k] / count)
+def _mean_logs(s: FloatArray, lit: Mask) -> FloatArray:
+    """(h, w, 3), log of the mean over the lit of 3 × 3 pixels, 0 where not lit."""
+    total, share = (
+        uniform_filter(image, 3, mode="constant", axes=(0, 1))
+        for image in (np.where(lit[..., None], s, 0.0), lit.astype(np.float64))
+    )
+    logs = np.zeros(s.shape)
+    logs[lit] = np.log(total[lit] / share[lit, None])
     return logs
 
 
-@njit(cache=True, parallel=True)
-def _is_edge(logs: Any, lit: Any) -> Any:
-    h, w, _ = logs.shape
-    edge = np.zeros((h, w), np.bool_)
-    r = _REACH_PX
-    for v in prange(h):
-        for u in range(w):
-            for way in range(2):
-                a, b, c, d = v - r * way, u - r * (1 - way), v + r * way, u + r * (1 - way)
-                if a < 0 or b < 0 or c >= h or d >= w or not lit[a, b] or not lit[c, d]:
-                    continue
-                for k in range(3):
-                    if abs(logs[c, d, k] - logs[a, b, k]) > _EDGE:
-                        edge[v, u] = True
+def _is_edge(logs: FloatArray, lit: Mask) -> Mask:
+    edge, far = np.zeros(lit.shape, np.bool_), 2 * _REACH_PX
+    for way in range(2):
+        before, after, middle = ([slice(None), slice(None)] for _ in range(3))
+        before[way], after[way] = slice(None, -far), slice(far, None)
+        middle[way] = slice(_REACH_PX, -_REACH_PX)
+        one, other = tuple(before), tuple(after)
+        step = np.abs(logs[other] - logs[one]).max(axis=2)
+        edge[tuple(middle)] |= lit[one] & lit[other] & (step > _EDGE)
     return edge
 
 
-def _cells(logs: FloatArray, plain: Mask) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+def _cells(logs: FloatArray, plain: Mask) -> tuple[IntArray, IntArray]:
     """Return the cell of every plain pixel, −1 elsewhere, and the sizes of the cells."""
-    v, u = np.indices(plain.shape) // REGION_PX
-    across = (plain.shape[1] + REGION_PX - 1) // REGION_PX
-    cells = np.where(plain, v * across + u, -1)
-    count = across * ((plain.shape[0] + REGION_PX - 1) // REGION_PX)
+    v, u = np.nonzero(plain)
+    down, across = (-(-n // REGION_PX) for n in plain.shape)
+    seen = np.column_stack([v, u, logs[v, u]])
+    scale = np.array([np.sqrt(_COMPACT) / REGION_PX] * 2 + [1.0 / _COLOUR] * 3)
+    row, column = v // REGION_PX, u // REGION_PX
+    cells = row * across + column
     for _ in range(_SWEEPS):
-        centres, sizes = _centres(logs, cells, count)
-        cells = _nearest_cells(logs, plain, centres, sizes, across)
-    return cells, np.bincount(cells[plain], minlength=count)
+        sizes = np.bincount(cells, minlength=down * across)
+        sums = np.stack([np.bincount(cells, each, down * across) for each in seen.T], axis=1)
+        centres = sums / np.maximum(sizes, 1)[:, None]
+        least = np.full(len(v), np.inf)
+        for i, j in np.ndindex(3, 3):
+            a, b = row + i - 1, column + j - 1
+            other = a.clip(0, down - 1) * across + b.clip(0, across - 1)
+            away = (((seen - centres[other]) * scale) ** 2).sum(axis=1)
+            away[sizes[other] == 0] = np.inf
+            nearer = away < least
+            least[nearer], cells[nearer] = away[nearer], other[nearer]
+    found = np.full(plain.shape, -1, np.int64)
+    found[v, u] = cells
+    return found, np.bincount(cells, minlength=down * across)
 
 
-@njit(cache=True, error_model="numpy")
-def _centres(logs: Any, cells: Any, count: int) -> Any:
-    h, w = cells.shape
-    centres, sizes = np.zeros((count, 5)), np.zeros(count)
-    for v in range(h):
-        for u in range(w):
-            i = cells[v, u]
-            if i >= 0:
-                sizes[i] += 1.0
-                centres[i, 0] += v
-                centres[i, 1] += u
-                for k in range(3):
-                    centres[i, 2 + k] += logs[v, u, k]
-    for i in range(count):
-        if sizes[i] > 0.0:
-            for k in range(5):
-                centres[i, k] /= sizes[i]
-    return centres, sizes
-
-
-@njit(cache=True, parallel=True)
-def _nearest_cells(logs: Any, plain: Any, centres: Any, sizes: Any, across: int) -> Any:
-    h, w = plain.shape
-    cells = np.full((h, w), -1, np.int64)
-    down = sizes.size // across
-    for v in prange(h):
-        for u in range(w):
-            if not plain[v, u]:
-                continue
-            least = np.inf
-            row, column = v // REGION_PX, u // REGION_PX
-            for i in range(max(row - 1, 0), min(row + 2, down)):
-                for j in range(max(column - 1, 0), min(column + 2, across)):
-                    m = i * across + j
-                    if sizes[m] == 0.0:
-                        continue
-                    away = (v - centres[m, 0]) ** 2 + (u - centres[m, 1]) ** 2
-                    distance = _COMPACT * away / REGION_PX**2
-                    for k in range(3):
-                        distance += ((logs[v, u, k] - centres[m, 2 + k]) / _COLOUR) ** 2
-                    if distance < least:
-                        least = distance
-                        cells[v, u] = m
-    return cells
-
-
-@njit(cache=True, error_model="numpy")
-def _sampled(s: Any, logs: Any, labels: Any, count: int) -> Any:
+def _sampled(
+    s: FloatArray, logs: FloatArray, labels: IntArray, count: int
+) -> tuple[FloatArray, IntArray, FloatArray]:
     """Return samples (n, SAMPLES, 3) spread evenly over each region, how many, and mean logs (n, 3)."""
-    h, w = labels.shape
-    sizes = np.zeros(count, np.int64)
-    means = np.zeros((count, 3))
-    for v in range(h):
-        for u in range(w):
-            i = labels[v, u]
-            if i >= 0:
-                sizes[i] += 1
-                for k in range(3):
-                    means[i, k] += logs[v, u, k]
-    samples = np.zeros((count, SAMPLES, 3))
-    taken, passed = np.zeros(count, np.int64), np.zeros(count, np.int64)
-    for v in range(h):
-        for u in range(w):
-            i = labels[v, u]
-            if i >= 0:
-                if taken[i] < SAMPLES and passed[i] * SAMPLES >= taken[i] * sizes[i]:
-                    for k in range(3):
-                        samples[i, taken[i], k] = s[v, u, k]
-                    taken[i] += 1
-                passed[i] += 1
-    for i in range(count):
-        for k in range(3):
-            means[i, k] /= sizes[i]
-    return samples, taken, means
-
-
-def _planes(samples: FloatArray, counts: IntArray) -> FloatArray:
-    there = np.arange(SAMPLES) < counts[:, None]
-    return np.concatenate([samples.transpose(0, 2, 1), there[:, None]], axis=1).astype(np.float32)
+    places = np.flatnonzero(labels >= 0)
+    of = labels.ravel()[places]
+    places = places[np.argsort(of, kind="stable")]
+    sizes = np.bincount(of, minlength=count)
+    taken = np.minimum(sizes, SAMPLES)
+    step = np.maximum(sizes, SAMPLES)[:, None]
+    order = np.minimum(-(-np.arange(SAMPLES) * step // SAMPLES), np.maximum(sizes - 1, 0)[:, None])
+    chosen = places[(np.cumsum(sizes) - sizes)[:, None] + order]
+    samples = s.reshape(-1, 3)[chosen] * (np.arange(SAMPLES) < taken[:, None])[..., None]
+    sums = [np.bincount(of, each, count) for each in logs[labels >= 0].T]
+    return samples, taken, np.stack(sums, axis=1) / np.maximum(sizes, 1)[:, None]
 
 
 def _neighbours(labels: IntArray, logs: FloatArray) -> dict[str, Any]:
@@ -279,12 +174,10 @@ def _neighbours(labels: IntArray, logs: FloatArray) -> dict[str, Any]:
     sources, neighbours = np.concatenate([one, other]), np.concatenate([other, one])
     contacts = np.minimum(np.tile(length, 2) / _FULL_CONTACT_PX, _MOST_CONTACT) / _NEIGHBOURS
     order = np.argsort(sources, kind="stable")
-    places = np.argsort(order)
     sources, neighbours = sources[order], neighbours[order]
     return {
         "starts": np.searchsorted(sources, np.arange(count + 1)),
         "neighbours": neighbours,
         "steps": logs[neighbours] - logs[sources],
         "contacts": contacts[order],
-        "twins": places[(order + len(one)) % max(len(order), 1)],
     }

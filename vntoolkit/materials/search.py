@@ -5,8 +5,7 @@ First every region has a reflectance of its own. Steps of paint between neighbou
 many regions share are proposed as materials, too many of them. Then materials are left out, one after the
 other, and the shortest description of the frame is taken: lengths and steps in units of their spread, the
 seams of the label map, and three numbers a material (rissanen1978), or one of a material that has the hue of
-the rig's: black and white print is of one hue. Light that changes slowly over the subject is told with them:
-where its numbers make the description shorter, they take the place of materials.
+the rig's: black and white print is of one hue.
 """
 
 from __future__ import annotations
@@ -17,37 +16,31 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy import sparse
 from scipy.linalg import block_diag
+from scipy.sparse.csgraph import connected_components
 
 from vntoolkit.arrays import FloatArray, IntArray, Mask, Points
 from vntoolkit.errors import BadInput
-from vntoolkit.materials.labelling import agreed, prices_of_regions, spread_of, step_cost, total_cost
+from vntoolkit.materials.mixtures import INDEPENDENT_PX, Spread
 from vntoolkit.materials.paint_levels import FALL, PAINT_STEP, Seams
-from vntoolkit.materials.pixels import INDEPENDENT_PX, Spread
 from vntoolkit.materials.reflectance import CAP, Lamps, Reflectance, best_fit, reflectance_from_fit
+from vntoolkit.materials.region_labels import agreed, prices_of_regions, spread_of, total_cost
 from vntoolkit.materials.region_lengths import (
     WEAK_PRIOR,
-    gather_lengths,
     lengths_of,
     normal_equations,
-    one_as_two,
-    patches_of,
 )
 from vntoolkit.materials.regions import (
-    CHANGES,
     SHADING_STEP,
-    UNEVEN,
     Regions,
-    changes_of_light,
-    levelled,
     regions_of,
 )
 from vntoolkit.materials.split_frame import SplitFrame, split_frame, stacked
-from vntoolkit.native import njit
+from vntoolkit.options.reconstruction import MOST_MATERIALS
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
 
-MOST_MATERIALS = 12
 _SEARCHED_PIXELS = 40_000  # of the subject
 _LEAST_INSIDE = 1 / 3  # of the blocks, that lie inside patches, as of squares that hold a region each
 WORST_ERROR_DEG = 5.0  # of normals, by what their spread leaves open of a reflectance
@@ -72,7 +65,6 @@ _DOUBTFUL = 1.5  # price from which a region's seams tell nothing of its label
 _LARGEST_STEP = 0.3
 _FEW = 5.0  # nats of a material beside those of its numbers: subjects are of few
 _SPLITS, _LEAST_GAIN = 3, 1.0
-_DARKEST = 0.02  # reflectance of a yarn
 _MOST_PATCHES, _PATCH_PIXELS = 8, 240
 _SEAM_PRICE = 3.0  # of neighbours of two materials, that a print is of few colours and large patches
 # Standard deviation of log ρ from seams, where shading steps, too: 0.01 to 0.02 on tartans, more on one logo.
@@ -89,11 +81,10 @@ class Material:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SearchedFrames:
-    """Frames in blocks, below each other, and their regions. count: how many frames."""
+    """Frames in blocks, below each other, and their regions."""
 
     split: SplitFrame
     regions: Regions
-    count: int
 
 
 def searched_frames(
@@ -120,27 +111,23 @@ def searched_frames(
             "materials: hardly any pixel is reached by all three lamps and not clipped; look at exposure, "
             "mask and rig"
         )
-    return SearchedFrames(split=split, regions=regions, count=len(frames))
+    return SearchedFrames(split=split, regions=regions)
 
 
 def find_materials(searched: SearchedFrames, count: int | None = None) -> list[Material]:
     """Find the materials of a few frames, that of most pixels first; `count` or as many as there are."""
-    split, regions, lamps = searched.split, searched.regions, searched.split.lamps
+    regions, lamps = searched.regions, searched.split.lamps
     own, tolerance = _reflectances_of_regions(regions, lamps)
-    changes = changes_of_light(regions, split, searched.count)
     found = _fewest(_proposals(own, regions, count), regions, lamps, tolerance, count)
-    found = _in_uneven_light(found, regions, changes, lamps, tolerance, count)
-    change, even = found.change, levelled(regions, found.change)
-    fixed = even, lamps, tolerance, 1, found.spread
+    fixed = regions, lamps, tolerance, 1, found.spread
     found = _settled(found.logs, found.labels, *fixed)
     if count is None:
-        found = _woven(found, even, lamps)
         one, of_rig = np.zeros(regions.count, np.int64), np.ones(1, np.bool_)
         rigs_own = _settled(np.zeros((1, 3)), one, *fixed, of_rig)
         if rigs_own.length <= found.length:
-            return _fitted_each(rigs_own, of_rig, searched, change, tolerance)
-    found, of_rig = _in_rigs_hue(found, even, lamps, tolerance)
-    materials = _fitted_each(found, of_rig, searched, change, tolerance)
+            return _fitted_each(rigs_own, of_rig, searched, tolerance)
+    found, of_rig = _in_rigs_hue(found, regions, lamps, tolerance)
+    materials = _fitted_each(found, of_rig, searched, tolerance)
     return sorted(materials, key=lambda material: -material.share)
 
 
@@ -151,20 +138,18 @@ def fitted_again(searched: SearchedFrames, known: Points) -> list[Material]:
     found = _settled(np.log(known), None, regions, lamps, tolerance, _FIRST_ROUNDS, None)
     found = _settled(found.logs, found.labels, regions, lamps, tolerance, 1, found.spread)
     found, of_rig = _in_rigs_hue(found, regions, lamps, tolerance)
-    return _fitted_each(found, of_rig, searched, found.change, tolerance)
+    return _fitted_each(found, of_rig, searched, tolerance)
 
 
-def _fitted_each(
-    found: _Found, of_rig: Mask, searched: SearchedFrames, change: FloatArray, tolerance: float
-) -> list[Material]:
+def _fitted_each(found: _Found, of_rig: Mask, searched: SearchedFrames, tolerance: float) -> list[Material]:
     """Return the materials of a description, each fitted once more to its own pixels.
 
-    of_rig: (m,), those of the hue of the rig's. change: (n, 3), of log light on the regions.
+    of_rig: (m,), those of the hue of the rig's.
     """
     split, regions = searched.split, searched.regions
     shares = np.bincount(found.labels[regions.labels[split.lit]], minlength=len(found.logs)) / split.lit.sum()
     of_region = regions.labels[regions.plain]  # on edges of paint are mixtures
-    labels, s = found.labels[of_region], split.contributions[regions.plain] * np.exp(-change)[of_region]
+    labels, s = found.labels[of_region], split.contributions[regions.plain]
     materials = []
     # of a material of the rig's hue, too, the error is what the footage leaves open: its hue is the likeliest
     covariance = np.linalg.inv(found.normal_matrix + 1e-9 * np.eye(3 * len(found.logs)))
@@ -238,10 +223,7 @@ def _proposals(own: Points, regions: Regions, count: int | None) -> Points:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Found:
-    """Materials so far. logs: (m, 3). labels: (n,). costs: (n, m). length: nats. normal_matrix: of logs.
-
-    change: (n, 3), of log light, by the numbers `uneven`.
-    """
+    """Materials so far. logs: (m, 3). labels: (n,). costs: (n, m). length: nats. normal_matrix: of logs."""
 
     logs: Points
     labels: IntArray
@@ -249,15 +231,13 @@ class _Found:
     length: float
     normal_matrix: FloatArray
     spread: Spread
-    change: FloatArray
-    uneven: FloatArray
 
 
 def _fewest(logs: Points, regions: Regions, lamps: Lamps, tolerance: float, count: int | None) -> _Found:
     """Return the shortest description, or that of `count` materials.
 
     Materials are left out one after the other; then what is still unexplained proposes others, as long as
-    that makes the description shorter; so do patches of one material that differ.
+    that makes the description shorter.
     """
     if count == 1:  # start from the proposal with most votes; all others would be left out again
         logs = logs[:1]
@@ -272,33 +252,12 @@ def _fewest(logs: Points, regions: Regions, lamps: Lamps, tolerance: float, coun
         if again.length >= found.length - _LEAST_GAIN:
             break
         found = again
-    while count is None and len(found.logs) < MOST_MATERIALS:
-        gain, more, labels = one_as_two(found.logs, found.labels, regions, lamps, tolerance)
-        if gain < _numbers(regions):
-            break
-        again = _settled(more, labels, regions, lamps, tolerance, 2, found.spread)
-        if again.length >= found.length or _has_twins(again):
-            break
-        found = again
     return found
-
-
-def _in_uneven_light(
-    found: _Found, regions: Regions, changes: FloatArray, lamps: Lamps, tolerance: float, count: int | None
-) -> _Found:
-    """Return the description with changes of light, (n, CHANGES, 3), where these make it shorter.
-
-    They may take the place of materials, and make it shorter only then.
-    """
-    fixed = regions, lamps, tolerance, 2, found.spread
-    again = _settled(found.logs, found.labels, *fixed, changes=changes)
-    again = _thinned(again, regions, lamps, tolerance, count, changes=changes)
-    return min(found, again, key=lambda each: each.length)
 
 
 def _thinned(
     found: _Found, regions: Regions, lamps: Lamps, tolerance: float, count: int | None,
-    least: float = np.inf, changes: FloatArray | None = None,
+    least: float = np.inf,
 ) -> _Found:  # fmt: skip
     """Leave out materials one after the other, and return the shortest description on the way.
 
@@ -318,7 +277,7 @@ def _thinned(
         if count is None and unexplained >= min(least, np.inf if best is None else best.length):
             break
         fewer = [
-            _settled(logs, labels, regions, lamps, tolerance, 1, found.spread, None, changes, found.uneven)
+            _settled(logs, labels, regions, lamps, tolerance, 1, found.spread)
             for logs, labels in (_without_one(found, regions), _merged(found))
         ]
         found = min(fewer, key=lambda each: each.length)
@@ -365,7 +324,8 @@ def _of_unexplained(found: _Found, regions: Regions, lamps: Lamps, tolerance: fl
     doubtful = paid > _DOUBTFUL
     a, b = regions.sources, regions.neighbours
     alike = doubtful[a] & doubtful[b] & (np.abs(regions.steps).max(axis=1) < PAINT_STEP)
-    patches = patches_of(regions, alike)
+    graph = sparse.coo_array((np.ones(alike.sum()), (a[alike], b[alike])), shape=(regions.count,) * 2)
+    patches = connected_components(graph, directed=False)[1]
     sizes = np.bincount(patches, weights=regions.sizes * doubtful)
     proposals: list[Any] = []
     for patch in np.argsort(-sizes)[:_MOST_PATCHES]:
@@ -387,55 +347,6 @@ def _of_unexplained(found: _Found, regions: Regions, lamps: Lamps, tolerance: fl
         if np.abs(others - log).max(axis=1).min() > _TWINS * found.spread.of_regions:
             kept.append(log)
     return np.array(kept).reshape(-1, 3)
-
-
-def _woven(found: _Found, regions: Regions, lamps: Lamps) -> _Found:
-    """Add yarns whose mixtures were found, and mixtures of yarns that were, where regions are of them.
-
-    Where two yarns cross, cloth has the mean of their reflectances. Squares of one yarn may be too small to
-    tell its three numbers. Those of others tell them, so that it costs only the choice among such sums.
-    """
-    count = len(found.logs)
-    if count < 2 or count == MOST_MATERIALS:
-        return found
-    first, second = (part.ravel() for part in np.indices((count, count)))
-    others, pairs = first != second, first < second
-    shares = np.repeat([[2.0, -1.0], [0.5, 0.5]], [others.sum(), pairs.sum()], axis=0)
-    first, second = (np.concatenate([part[others], part[pairs]]) for part in (first, second))
-    rho = np.exp(found.logs)
-    parts = shares[:, :1] * rho[first], shares[:, 1:] * rho[second]
-    thought = parts[0] + parts[1]
-    is_paint = thought.min(axis=1) > _DARKEST
-    thought = np.log(np.where(is_paint[:, None], thought, 1.0))
-    is_paint &= np.ptp(thought, axis=1) < _LARGEST_RATIO
-    is_paint &= (
-        np.abs(thought[:, None] - found.logs).max(axis=2).min(axis=1) > _TWINS * found.spread.of_regions
-    )
-    if not is_paint.any():
-        return found
-    costs = prices_of_regions(lengths_of(regions, thought, lamps), found.spread)
-    gains = _gains(
-        found.costs, costs, regions.sizes / INDEPENDENT_PX, found.labels, found.logs, thought,
-        regions.starts, regions.neighbours, regions.steps, regions.contacts,
-    )  # fmt: skip
-    best = int(np.where(is_paint, gains, -np.inf).argmax())
-    price = _FEW + float(np.log(is_paint.sum()))
-    if gains[best] < price:
-        return found
-    logs, costs = np.vstack([found.logs, thought[best]]), np.hstack([found.costs, costs[:, [best]]])
-    labels = agreed(costs, logs, regions, _SEAM_PRICE, found.labels)
-    length = total_cost(costs, labels, logs, regions, _SEAM_PRICE) + price
-    length += found.length - total_cost(found.costs, found.labels, found.logs, regions, _SEAM_PRICE)
-    if length >= found.length:
-        return found
-    slopes = np.zeros((3, 3 * count))  # of its log ρ by those of the others
-    for part, number in ((parts[0], first), (parts[1], second)):
-        slopes[:, 3 * number[best] : 3 * number[best] + 3] += np.diag(part[best] / np.exp(thought[best]))
-    covariance = slopes @ np.linalg.inv(found.normal_matrix + WEAK_PRIOR * np.eye(3 * count)) @ slopes.T
-    matrix = np.zeros((3 * count + 3, 3 * count + 3))
-    matrix[:-3, :-3], matrix[-3:, -3:] = found.normal_matrix, np.linalg.inv(covariance)
-    more = replace(found, logs=logs, labels=labels, costs=costs, length=length, normal_matrix=matrix)
-    return _woven(more, regions, lamps)
 
 
 def _in_rigs_hue(
@@ -488,34 +399,21 @@ def _settled(
     rounds: int,
     spread: Spread | None,
     of_rig: Mask | None = None,
-    changes: FloatArray | None = None,
-    uneven: FloatArray | None = None,
 ) -> _Found:
     """Alternate between labels and reflectances, all of which are fitted together.
 
     of_rig: (m,), materials of the hue of the rig's, which are only brighter or darker; None for none.
-    changes: (n, CHANGES, 3), of light, which are fitted as well; None for even light. uneven: their numbers
-    to begin with.
     """
     of_rig = np.zeros(len(logs), np.bool_) if of_rig is None else of_rig
     free = _free_numbers(of_rig)
     logs = np.where(of_rig[:, None], logs.mean(axis=1, keepdims=True), logs)
     size, weights = 3 * len(logs), regions.sizes / INDEPENDENT_PX
     numbers = _numbers(regions) * (len(logs) - 2.0 / 3.0 * np.count_nonzero(of_rig))
-    if changes is None:
-        changes = np.zeros((regions.count, 0, 3))
-    else:
-        free = block_diag(free, np.eye(CHANGES))
-        numbers += CHANGES / 3.0 * (_numbers(regions) - _FEW)
-    if uneven is None:
-        uneven = np.zeros(changes.shape[1])
-    change = np.einsum("npk,p->nk", changes, uneven)
-    damping = np.diag(np.repeat([WEAK_PRIOR, UNEVEN**-2], [size, len(uneven)]))
-    matrix = np.zeros_like(damping)
+    damping, matrix = WEAK_PRIOR * np.eye(size), np.zeros((size, size))
     is_given = spread is not None
     spread = spread or Spread(_FIRST_TOLERANCE, _FIRST_TOLERANCE)
     for _ in range(rounds):
-        lengths = lengths_of(levelled(regions, change), logs, lamps)
+        lengths = lengths_of(regions, logs, lamps)
         costs = prices_of_regions(lengths, spread)
         labels = _cheapest(costs, logs, regions, labels)
         if not is_given:
@@ -524,26 +422,19 @@ def _settled(
         for i in range(_FIT_ROUNDS):
             reach = _ROUGH * 0.5**i  # at first nothing is an outlier that two merged materials hold
             own_matrices, own_gradients = normal_equations(
-                regions, logs[labels] + change, lamps, weights, tolerance, reach
+                regions, logs[labels], lamps, weights, tolerance, reach
             )
-            matrix[:], gradient = 0.0, np.zeros(len(matrix))
-            gather_lengths(labels, changes, own_matrices, own_gradients, matrix, gradient)
-            gradient[size:] -= uneven / UNEVEN**2
-            _add_steps(
-                labels, paid, logs, regions.starts, regions.neighbours, regions.steps, regions.contacts,
-                matrix, gradient,
-            )  # fmt: skip
+            matrix[:], gradient = 0.0, np.zeros(size)
+            _add_lengths(labels, own_matrices, own_gradients, matrix, gradient)
+            _add_steps(labels, paid, logs, regions, matrix, gradient)
             bounded = free.T @ (matrix + damping) @ free
             step = (free @ np.linalg.solve(bounded, free.T @ gradient)).clip(-_LARGEST_STEP, _LARGEST_STEP)
-            logs, uneven = logs + step[:size].reshape(-1, 3), uneven + step[size:]
-            change = np.einsum("npk,p->nk", changes, uneven)
-    costs = prices_of_regions(lengths_of(levelled(regions, change), logs, lamps), spread)
+            logs = logs + step.reshape(-1, 3)
+    costs = prices_of_regions(lengths_of(regions, logs, lamps), spread)
     labels = _cheapest(costs, logs, regions, labels)
     length = total_cost(costs, labels, logs, regions, _SEAM_PRICE) + numbers
     return _Found(
-        logs=logs, labels=labels, costs=costs, length=length + 0.5 * float(uneven @ uneven) / UNEVEN**2,
-        normal_matrix=matrix[:size, :size], spread=spread, change=change,
-        uneven=uneven,
+        logs=logs, labels=labels, costs=costs, length=length, normal_matrix=matrix, spread=spread
     )  # fmt: skip
 
 
@@ -566,54 +457,32 @@ def _numbers(regions: Regions) -> float:
     return _FEW + 1.5 * float(np.log(max(regions.sizes.sum() / INDEPENDENT_PX, 2.0)))
 
 
-@njit(cache=True)
-def _gains(
-    costs: Any, others: Any, weights: Any, labels: Any, logs: Any, thought: Any, starts: Any,
-    neighbours: Any, steps: Any, contacts: Any,
-) -> Any:  # fmt: skip
-    """(p,), what the regions gain that are better of another log ρ (p, 3), of prices (n, p)."""
-    gains = np.zeros(len(thought))
-    for i in range(len(labels)):
-        own = weights[i] * costs[i, labels[i]]
-        for e in range(starts[i], starts[i + 1]):
-            n = labels[neighbours[e]]
-            seam = 0.0 if n == labels[i] else _SEAM_PRICE
-            own += contacts[e] * step_cost(steps[e], logs[labels[i]], logs[n], seam)
-        for p in range(len(thought)):
-            other = weights[i] * others[i, p]
-            for e in range(starts[i], starts[i + 1]):
-                n = labels[neighbours[e]]
-                other += contacts[e] * step_cost(steps[e], thought[p], logs[n], _SEAM_PRICE)
-            gains[p] += max(own - other, 0.0)
-    return gains
+def _add_lengths(
+    labels: IntArray, matrices: FloatArray, gradients: FloatArray, matrix: FloatArray, gradient: FloatArray
+) -> None:
+    """Add the normal equations of lengths, (n, 3, 3) and (n, 3) of the regions, to those of the materials."""
+    places = 3 * labels[:, None] + np.arange(3)
+    np.add.at(gradient, places, gradients)
+    np.add.at(matrix, (places[:, :, None], places[:, None]), matrices)
 
 
-@njit(cache=True, error_model="numpy")
 def _add_steps(
-    labels: Any, paid: Any, z: Any, starts: Any, neighbours: Any, steps: Any, contacts: Any, matrix: Any,
-    gradient: Any,
-) -> None:  # fmt: skip
+    labels: IntArray, paid: FloatArray, z: Points, regions: Regions, matrix: FloatArray, gradient: FloatArray
+) -> None:
     """Add the normal equations of the steps between materials, of log ρ z (m, 3)."""
-    for i in range(labels.size):
-        m = labels[i]
-        if paid[i] > _DOUBTFUL:
-            continue
-        for edge in range(starts[i], starts[i + 1]):
-            n = labels[neighbours[edge]]
-            if neighbours[edge] < i or n == m or paid[neighbours[edge]] > _DOUBTFUL:
-                continue
-            t = 0.0
-            for k in range(3):
-                rest = (steps[edge, k] - z[n, k] + z[m, k]) / SHADING_STEP
-                t += rest * rest
-            falling = 1.0 / (1.0 + t / (CAP * CAP))
-            weight = contacts[edge] * falling * falling / (SHADING_STEP * SHADING_STEP)
-            for k in range(3):
-                rest = steps[edge, k] - z[n, k] + z[m, k]
-                a, b = 3 * m + k, 3 * n + k
-                matrix[a, a] += weight
-                matrix[b, b] += weight
-                matrix[a, b] -= weight
-                matrix[b, a] -= weight
-                gradient[b] += weight * rest
-                gradient[a] -= weight * rest
+    i, j = regions.sources, regions.neighbours
+    told = (i < j) & (labels[i] != labels[j]) & (np.maximum(paid[i], paid[j]) <= _DOUBTFUL)
+    m, n = labels[i[told]], labels[j[told]]
+    rest = regions.steps[told] - z[n] + z[m]
+    falling = 1.0 / (1.0 + ((rest / SHADING_STEP) ** 2).sum(axis=1) / CAP**2)
+    weight = np.repeat((regions.contacts[told] * (falling / SHADING_STEP) ** 2)[:, None], 3, axis=1)
+    first, second = (3 * each[:, None] + np.arange(3) for each in (m, n))
+    for a, b, sign in (
+        (first, first, 1.0),
+        (second, second, 1.0),
+        (first, second, -1.0),
+        (second, first, -1.0),
+    ):
+        np.add.at(matrix, (a, b), sign * weight)
+    np.add.at(gradient, second, weight * rest)
+    np.add.at(gradient, first, -weight * rest)

@@ -8,12 +8,11 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from numba import prange
 
-from vntoolkit.arrays import Float32Array, FloatArray, Mask, Vector3
+from vntoolkit.arrays import Float32Array, FloatArray, Mask, Matrix3, Vector3
 from vntoolkit.materials.reflectance import Lamps, lamps_from_response
-from vntoolkit.native import njit
 from vntoolkit.photometry.frame import LinearFrame
+from vntoolkit.photometry.levelling import Box
 from vntoolkit.photometry.response import LightResponse
 
 WORKING_PIXELS = 60_000  # of the subject; more cost time and tell no other materials
@@ -21,6 +20,7 @@ _LEAST_SIGNAL = 4.0  # standard deviations of noise that a lamp's contribution m
 _LEAST_SHARE = 0.06  # … and share of the strongest: the rest may be shadow
 _OF_INNER_HALF = 0.3777  # root mean square of the inner half of a normal distribution, in standard deviations
 _LEAST_NOISE = 1e-4
+_BOX_BLOCKS = 32  # that a subject moves before another part of the frame is looked at
 CELL = 8  # blocks to the side of what movement is measured on: it holds for movements up to that size
 
 
@@ -49,16 +49,19 @@ def split_frame(
     response: LightResponse,
     mask: Mask,
     most_pixels: int = WORKING_PIXELS,
-    like: SplitFrame | None = None,
+    like: tuple[int, Lamps] | None = None,
 ) -> SplitFrame:
     """Split a frame by lamp, averaged over blocks until the subject has about `most_pixels`.
 
-    mask: (h, w). like: a frame whose blocks and noise are taken over. Clipped pixels are left out. Raises
+    mask: (h, w). like: factor and lamps of a frame that are taken over. Clipped pixels are left out. Raises
     `BadInput` where the lamps' colours are not known.
     """
-    factor = block_size(mask, most_pixels) if like is None else like.factor
-    rgb, inside = _blocks(frame.rgb, mask, frame.clipped, factor)
-    lamps = lamps_from_response(response, noise_of(rgb, inside)) if like is None else like.lamps
+    factor = block_size(mask, most_pixels) if like is None else like[0]
+    sound = mask & ~frame.clipped
+    counts = sums_of_blocks(sound, factor)
+    rgb = sums_of_blocks(np.where(sound[..., None], frame.rgb, np.float32(0.0)), factor)
+    rgb, inside = rgb / np.maximum(counts, 1.0)[..., None], 2.0 * counts >= max(factor**2, 2)
+    lamps = lamps_from_response(response, noise_of(rgb, inside)) if like is None else like[1]
     lit = _lit(rgb, inside, lamps.split, _LEAST_SIGNAL * lamps.noise)
     return SplitFrame(colours=rgb, inside=inside, lit=lit, lamps=lamps, factor=factor)
 
@@ -89,9 +92,42 @@ def block_size(mask: Mask, most_pixels: int = WORKING_PIXELS) -> int:
     return max(1, round(float(np.sqrt(mask.sum() / most_pixels))))
 
 
+def sums_of_blocks(image: npt.NDArray[Any], side: int) -> npt.NDArray[np.float64]:
+    """Return sums of an image (h, w, …) over blocks of side × side pixels, those at the ends smaller."""
+    down, across = (np.arange(0, n, side) for n in image.shape[:2])
+    return np.add.reduceat(np.add.reduceat(image, down, axis=0, dtype=np.float64), across, axis=1)
+
+
+def steady_box(mask: Mask, factor: int, before: Box | None) -> Box:
+    """Return rows and columns that hold a subject: those of the frame before, while they do.
+
+    They begin and end between blocks of factor × factor pixels.
+    """
+    inner = box_of(mask)
+    if before is not None and all(
+        part.start <= own.start and own.stop <= part.stop for part, own in zip(before, inner, strict=True)
+    ):
+        return before
+    step = _BOX_BLOCKS * factor
+    rows, columns = (
+        slice(own.start // step * step, min(-(-own.stop // step) * step, size))
+        for own, size in zip(inner, mask.shape, strict=True)
+    )
+    return rows, columns
+
+
+def box_of(mask: Mask) -> Box:
+    """Return the rows and the columns that a mask reaches over."""
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    if not len(rows):
+        return slice(0, 0), slice(0, 0)
+    return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
+
+
 def cells_of(image: FloatArray | Float32Array) -> Float32Array:
     """Return means of (h, w, 3) over the cells by which `blocks_moved` measures movement."""
-    return np.asarray(_cells(image))
+    sizes = sums_of_blocks(np.ones(image.shape[:2], np.bool_), CELL)
+    return np.asarray(sums_of_blocks(image, CELL) / sizes[..., None], np.float32)
 
 
 def blocks_moved(before: Float32Array, now: Float32Array) -> float:
@@ -121,63 +157,8 @@ def noise_of(rgb: FloatArray, inside: Mask) -> Vector3:
     return np.maximum(np.sqrt(np.mean(found**2, axis=1)) / _OF_INNER_HALF / 6.0, _LEAST_NOISE)
 
 
-@njit(cache=True, parallel=True)
-def _cells(image: Any) -> Any:
-    h, w, _ = image.shape
-    out = np.zeros(((h + CELL - 1) // CELL, (w + CELL - 1) // CELL, 3), np.float32)
-    for i in prange(len(out)):
-        rows = min((i + 1) * CELL, h) - i * CELL
-        for v in range(i * CELL, i * CELL + rows):
-            for u in range(w):
-                for k in range(3):
-                    out[i, u // CELL, k] += image[v, u, k]
-        for j in range(out.shape[1]):
-            share = np.float32(1.0 / (rows * (min((j + 1) * CELL, w) - j * CELL)))
-            for k in range(3):
-                out[i, j, k] *= share
-    return out
-
-
-@njit(cache=True, parallel=True)
-def _blocks(rgb: Any, mask: Any, clipped: Any, factor: int) -> Any:
-    """Return the mean colour over the mask of each block, and whether half of the block is in it."""
-    h, w = mask.shape
-    height, width = (h + factor - 1) // factor, (w + factor - 1) // factor
-    mean = np.zeros((height, width, 3))
-    inside = np.zeros((height, width), np.bool_)
-    for i in prange(height):
-        counts = np.zeros(width, np.int64)
-        for v in range(i * factor, min((i + 1) * factor, h)):
-            for u in range(w):
-                if mask[v, u] and not clipped[v, u]:
-                    j = u // factor
-                    counts[j] += 1
-                    mean[i, j, 0] += rgb[v, u, 0]
-                    mean[i, j, 1] += rgb[v, u, 1]
-                    mean[i, j, 2] += rgb[v, u, 2]
-        for j in range(width):
-            if counts[j] > 0:
-                share = 1.0 / counts[j]
-                for k in range(3):
-                    mean[i, j, k] *= share
-                inside[i, j] = 2 * counts[j] >= factor * factor
-    return mean, inside
-
-
-@njit(cache=True, parallel=True)
-def _lit(rgb: Any, inside: Any, split: Any, least: Any) -> Any:
+def _lit(rgb: FloatArray, inside: Mask, split: Matrix3, least: Vector3) -> Mask:
     """Return whether all three lamps reach a pixel."""
-    h, w = inside.shape
-    lit = np.zeros((h, w), np.bool_)
-    for v in prange(h):
-        for u in range(w):
-            if inside[v, u]:
-                r, g, b = rgb[v, u, 0], rgb[v, u, 1], rgb[v, u, 2]
-                s0 = split[0, 0] * r + split[0, 1] * g + split[0, 2] * b
-                s1 = split[1, 0] * r + split[1, 1] * g + split[1, 2] * b
-                s2 = split[2, 0] * r + split[2, 1] * g + split[2, 2] * b
-                share = _LEAST_SHARE * max(s0, s1, s2, 0.0)
-                lit[v, u] = (
-                    (s0 > max(least[0], share)) & (s1 > max(least[1], share)) & (s2 > max(least[2], share))
-                )
-    return lit
+    s = rgb @ split.T
+    share = _LEAST_SHARE * np.maximum(s.max(axis=2, keepdims=True), 0.0)
+    return np.asarray(inside & (s > np.maximum(least, share)).all(axis=2))

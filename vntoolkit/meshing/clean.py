@@ -1,30 +1,9 @@
 """Mesh cleaning by pymeshlab: removes small pieces, closes small holes, reduces triangles on request."""
 
-from dataclasses import dataclass
-
-from vntoolkit.errors import BadInput, BadMesh
+from vntoolkit.errors import BadMesh
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.native import import_pymeshlab
-
-
-@dataclass(frozen=True, kw_only=True)
-class CleanOptions:
-    """What to clean.
-
-    smallest_piece: connected pieces with fewer triangles are removed; 0 for none. largest_hole: holes with at
-    most this many boundary edges are closed; 0 for none. most_faces: reduce to this many triangles by quadric
-    edge collapse; default: keep all.
-    """
-
-    smallest_piece: int = 100
-    largest_hole: int = 30
-    most_faces: int | None = None
-
-    def __post_init__(self) -> None:
-        if min(self.smallest_piece, self.largest_hole) < 0:
-            raise BadInput("cleaning: expected smallest piece and largest hole of 0 or more")
-        if self.most_faces is not None and self.most_faces < 1:
-            raise BadInput(f"cleaning: expected at least one triangle to remain, got {self.most_faces}")
+from vntoolkit.options.export import CleanOptions
 
 
 def clean_mesh(mesh: Mesh, options: CleanOptions | None = None) -> Mesh:

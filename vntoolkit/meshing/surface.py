@@ -1,6 +1,5 @@
 """A triangle mesh or a point cloud from depth, with one vertex per valid pixel."""
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,24 +13,7 @@ from vntoolkit.geometry.maps import DepthMap, NormalMap
 from vntoolkit.geometry.mesh import Mesh, vertex_normals
 from vntoolkit.geometry.point_cloud import PointCloud
 from vntoolkit.native import njit
-
-
-@dataclass(frozen=True, kw_only=True)
-class MeshOptions:
-    """How depth becomes triangles.
-
-    largest_step: a triangle whose depths differ by more than this many pixel widths (at its distance) spans
-    a jump and is left out. stride: use every stride-th pixel in both directions.
-    """
-
-    largest_step: float = 10.0
-    stride: int = 1
-
-    def __post_init__(self) -> None:
-        if not self.largest_step > 0:
-            raise BadInput(f"largest step: expected a positive number of pixels, got {self.largest_step:g}")
-        if self.stride < 1:
-            raise BadInput(f"stride: expected 1 or more, got {self.stride}")
+from vntoolkit.options.depth import MeshOptions
 
 
 @checks_kinds

@@ -42,7 +42,6 @@ from vntoolkit.normals.frame_evidence import (
     slow_changes_at,
 )
 from vntoolkit.normals.inversion import (
-    InversionOptions,
     coefficients_from_response,
     decoding_of,
     read_row,
@@ -50,6 +49,7 @@ from vntoolkit.normals.inversion import (
     require_mask_or_all,
     rows_of,
 )
+from vntoolkit.options.normals import InversionOptions
 from vntoolkit.photometry.frame import ALL_LIT, LinearFrame
 from vntoolkit.photometry.levelling import FLAGS, leveller_of, map_row, span_of
 from vntoolkit.photometry.response import LightResponse

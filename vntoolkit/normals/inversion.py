@@ -5,19 +5,18 @@ the normal; the length, set against the albedo that is expected, tells how far t
 shadow, gloss and another paint all change it.
 """
 
-from dataclasses import dataclass
-from enum import Enum
 from typing import Any, NamedTuple
 
 import numpy as np
 from numba import prange
 
 from vntoolkit.arrays import Array, Mask
-from vntoolkit.checks import checks_kinds, require_mask, require_positive, require_shape
+from vntoolkit.checks import checks_kinds, require_mask, require_shape
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.native import njit
+from vntoolkit.options.normals import InversionOptions
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.levelling import FLAGS, leveller_of, map_row, span_of
 from vntoolkit.photometry.response import LightResponse, scaled_normals_from_rgb
@@ -26,40 +25,6 @@ from vntoolkit.photometry.transfer import Transfer, decoding_table
 _LONGEST = np.float32(1e18)  # squares beyond it overflow float32: treated as not finite
 _ZERO = np.float32(0)
 _ONE = np.float32(1)
-
-
-class ClippedPixels(Enum):
-    """How pixels with a saturated channel are treated."""
-
-    DOWNWEIGHT = "downweight"  # a normal stays, at a tenth of its weight, so that the domain has no hole
-    EXCLUDE = "exclude"
-
-
-@dataclass(frozen=True, kw_only=True)
-class InversionOptions:
-    """How colours become normals.
-
-    relative_albedo: expected length of M⁻¹(r − a), the surface's albedo over the calibration material's (1 if
-    it is the same material; `relative_albedo_from_frame` measures it). albedo_tolerance: relative departure
-    from the expected albedo that halves a pixel's weight. darkest: share of the expected albedo below which a
-    pixel is black and has no normal. clipped: what becomes of saturated pixels.
-    """
-
-    relative_albedo: float = 1.0
-    albedo_tolerance: float = 0.25
-    darkest: float = 0.05
-    clipped: ClippedPixels = ClippedPixels.DOWNWEIGHT
-
-    def __post_init__(self) -> None:
-        require_positive(self.relative_albedo, "relative albedo")
-        require_positive(self.albedo_tolerance, "albedo tolerance")
-        if not 0 < self.darkest < 1:
-            raise BadInput(f"darkest: expected a share between 0 and 1, got {self.darkest:g}")
-
-    @property
-    def clipped_factor(self) -> float:
-        """The factor on a clipped pixel's weight; 0 excludes it."""
-        return 0.1 if self.clipped is ClippedPixels.DOWNWEIGHT else 0.0
 
 
 @checks_kinds

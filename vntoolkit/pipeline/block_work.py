@@ -21,22 +21,20 @@ from vntoolkit.arrays import Array, UInt16Array
 from vntoolkit.checks import require_positive
 from vntoolkit.errors import VntError
 from vntoolkit.geometry.maps import NormalMap
-from vntoolkit.io.files import ReadingLimits, reading_limits
+from vntoolkit.io.files import reading_limits
 from vntoolkit.io.footage.captures import Capture, CaptureOptions, open_capture
 from vntoolkit.io.footage.decoding import EncodedFrame
-from vntoolkit.io.footage.frame_range import Gaps
-from vntoolkit.io.footage.mattes import MatteOptions, Mattes, open_mattes
-from vntoolkit.io.footage.mosaics import SensorOptions
+from vntoolkit.io.footage.mattes import Mattes, open_mattes
 from vntoolkit.io.results.frame_log import FrameEntry
 from vntoolkit.native import loops_may_overlap, njit
+from vntoolkit.options.footage import Gaps, MatteOptions, ReadingLimits, SensorOptions
+from vntoolkit.options.normals import ShadowMethod
+from vntoolkit.options.reconstruction import DepthOffset, OnError, Product, ReconstructOptions
 from vntoolkit.photometry.frame import ALL_LIT
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import Transfer
 from vntoolkit.pipeline.frame_processor import FrameProcessor, SeenFrame
-from vntoolkit.pipeline.options import DepthOffset, OnError, Product, ReconstructOptions
 from vntoolkit.pipeline.outputs import FrameResult, ReconstructionFolder
-from vntoolkit.pipeline.painted_surface import PaintedSurface, TrackedReflectance
-from vntoolkit.shadows.detector import ShadowMethod
 
 _WAITING = 1  # frames that lie between one thread and the next
 Item = TypeVar("Item")
@@ -56,12 +54,12 @@ class ReconstructionJob:
     image, or video, folder or pattern of mattes, or None. matting: how these become masks. background: file
     or None. sensor: how samples of the sensor itself are read. reflectances: (m, 3), of materials relative
     to the rig's; empty for the rig's alone. pigments: (m, 3), along which log reflectances change, 0 for
-    none. errors_deg: (m,), root mean square angles by which the materials' errors turn normals. surface:
-    reflectances of a tracked surface, which count before those of the materials. lamp_doubts_deg:
-    of the directions of lamps that were looked for in shadows, infinite for unknown. nearness: of
-    the lamps, by which the rig's M was made to change over the picture; 0 for not at all. blur_px: standard
-    deviation of the picture's blur, which expected errors count; 0 for unknown. threads: for decoding; with
-    1, reading and processing take turns, so that a worker is one core's. limits: on what any process reads.
+    none. errors_deg: (m,), root mean square angles by which the materials' errors turn normals.
+    lamp_doubts_deg: of the directions of lamps that were looked for in shadows, infinite for unknown.
+    nearness: of the lamps, by which the rig's M was made to change over the picture; 0 for not at all.
+    blur_px: standard deviation of the picture's blur, which expected errors count; 0 for unknown. threads:
+    for decoding; with 1, reading and processing take turns, so that a worker is one core's. limits: on what
+    any process reads.
     """
 
     source: str
@@ -78,7 +76,6 @@ class ReconstructionJob:
     reflectances: tuple[tuple[float, float, float], ...] = ()
     pigments: tuple[tuple[float, float, float], ...] = ()
     errors_deg: tuple[float, ...] = ()
-    surface: TrackedReflectance | None = None
     lamp_doubts_deg: tuple[float, ...] = ()
     nearness: float = 0.0
     blur_px: float = 0.0
@@ -151,7 +148,6 @@ class BlockWorker:
             reflectances=job.reflectances,
             pigments=job.pigments,
             errors_deg=job.errors_deg,
-            painted=None if job.surface is None else PaintedSurface(job.surface, job.rig.response.central),
             blur_px=job.blur_px,
         )
 

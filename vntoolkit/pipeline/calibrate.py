@@ -8,11 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from vntoolkit.arrays import Mask
-from vntoolkit.calibration.board import BoardCalibration, BoardOptions, fit_response_to_board
+from vntoolkit.calibration.board import BoardCalibration, fit_response_to_board
 from vntoolkit.calibration.board_detection import BoardDetector, BoardSighting
 from vntoolkit.calibration.lights import (
     FrameColour,
-    LightColours,
     SwitchedLamps,
     colour_of_frame,
     find_switched_lamps,
@@ -22,7 +21,6 @@ from vntoolkit.calibration.lights import (
 )
 from vntoolkit.calibration.sphere import (
     SphereCalibration,
-    SphereOptions,
     fit_response_to_sphere,
     fit_response_to_switched_sphere,
 )
@@ -33,11 +31,12 @@ from vntoolkit.geometry.board_layout import BoardLayout
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.io.files import source_file
 from vntoolkit.io.footage.captures import Capture, CaptureInfo, CaptureOptions, open_capture
-from vntoolkit.io.footage.frame_range import FrameRange, Gaps
-from vntoolkit.io.footage.mattes import MatteOptions, open_mattes
-from vntoolkit.io.footage.mosaics import SensorOptions
+from vntoolkit.io.footage.frame_range import FrameRange
+from vntoolkit.io.footage.mattes import open_mattes
 from vntoolkit.io.light_files import read_lights
 from vntoolkit.io.rigs import read_rig
+from vntoolkit.options.calibration import BoardOptions, LightColours, SphereOptions
+from vntoolkit.options.footage import Gaps, MatteOptions, SensorOptions
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.rig import FitQuality, Rig

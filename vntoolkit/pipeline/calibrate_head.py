@@ -5,8 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
-from enum import Enum
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -14,47 +13,36 @@ import numpy as np
 from vntoolkit.arrays import ByteArray, IntArray
 from vntoolkit.calibration.head.hull import (
     DistanceGrid,
-    HullOptions,
     SilhouetteView,
     box_about_points,
     fit_hull,
     mesh_of_grid,
     spread_over_turn,
 )
-from vntoolkit.calibration.head.light import HeadLight, LightOptions, fit_light
+from vntoolkit.calibration.head.light import HeadLight, fit_light
 from vntoolkit.calibration.head.patches import detail_in_8_bits, find_again
-from vntoolkit.calibration.head.poses import (
-    HeadMotion,
-    PoseOptions,
-    PoseStart,
-    settle_head_motion,
-    solve_head_motion,
-)
+from vntoolkit.calibration.head.poses import HeadMotion, settle_head_motion, solve_head_motion
 from vntoolkit.calibration.head.refinement import RefinedHead, refine_head
-from vntoolkit.calibration.head.samples import HeadRays, HeadSamples, LightFrame, SampleOptions, sample_head
-from vntoolkit.calibration.head.shape import FusedShape, FusionOptions, fit_shape
+from vntoolkit.calibration.head.samples import HeadRays, HeadSamples, LightFrame, sample_head
+from vntoolkit.calibration.head.shape import FusedShape, fit_shape
 from vntoolkit.calibration.head.sift import SiftBuilder, require_features
-from vntoolkit.calibration.head.silhouettes import (
-    Silhouette,
-    SilhouetteOptions,
-    find_silhouette,
-    require_head,
-)
-from vntoolkit.calibration.head.stereo import StereoOptions
-from vntoolkit.calibration.head.tracks import (
-    TrackBuilder,
-    TrackOptions,
-    Tracks,
-    local_contrast,
-    require_tracks,
-)
+from vntoolkit.calibration.head.silhouettes import Silhouette, find_silhouette, require_head
+from vntoolkit.calibration.head.tracks import TrackBuilder, Tracks, local_contrast, require_tracks
 from vntoolkit.errors import BadCalibration, BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.io.files import source_file
 from vntoolkit.io.footage.captures import Capture
 from vntoolkit.io.footage.decoding import Undistorter
-from vntoolkit.io.footage.frame_range import Gaps
+from vntoolkit.options.footage import Gaps
+from vntoolkit.options.head import (
+    Features,
+    FollowOptions,
+    HeadOptions,
+    HeadShape,
+    HullOptions,
+    PoseStart,
+)
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline.calibrate import CalibrationJob
@@ -67,58 +55,10 @@ _NORMAL_FRAMES = 24  # over the turn: each part of the face is seen in ten of th
 Progress = Callable[[str, int, int], None]
 
 
-class Features(Enum):
-    """What is matched between frames."""
-
-    TRACKS = "tracks"  # skin followed by optical flow: video, up to 4 degrees from frame to frame
-    SIFT = "sift"  # features matched: photographs, up to 20 degrees apart; slower
-
-
 _STARTS = {
     Features.TRACKS: [PoseStart.FACTORISATION],
     Features.SIFT: [PoseStart.MAPPING, PoseStart.FACTORISATION],
 }
-
-
-class HeadShape(Enum):
-    """Which shape gives the normals."""
-
-    HULL = "hull"  # silhouettes alone: quick, and enough for M on a well-lit head
-    FUSED = "fused"  # silhouettes and stereo
-    REFINED = "refined"  # fused, then corrected by the normals that its colours give, in turns with M
-
-
-@dataclass(frozen=True, kw_only=True)
-class FollowOptions:
-    """How frames are matched.
-
-    features: what is matched between frames: tracks of the skin (video), or SIFT features (photographs up to
-    20 degrees apart).
-    """
-
-    features: Features = Features.TRACKS
-    silhouettes: SilhouetteOptions = field(default_factory=SilhouetteOptions)
-    tracks: TrackOptions = field(default_factory=TrackOptions)
-
-
-@dataclass(frozen=True, kw_only=True)
-class HeadOptions:
-    """Options of all stages.
-
-    head_shape: shape that gives the normals: from silhouettes only, fused with stereo, or refined by the
-    normals of all frames. pose_start: initialisation of the poses; default: factorisation for tracks; mapping
-    for features, or factorisation where mapping fails.
-    """
-
-    head_shape: HeadShape = HeadShape.REFINED
-    pose_start: PoseStart | None = None
-    following: FollowOptions = field(default_factory=FollowOptions)
-    poses: PoseOptions = field(default_factory=PoseOptions)
-    hull: HullOptions = field(default_factory=HullOptions)
-    stereo: StereoOptions = field(default_factory=StereoOptions)
-    fusion: FusionOptions = field(default_factory=FusionOptions)
-    samples: SampleOptions = field(default_factory=SampleOptions)
-    light: LightOptions = field(default_factory=LightOptions)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -19,11 +19,11 @@ from vntoolkit.io.atomic import sole_writer
 from vntoolkit.io.files import read_text, source_file
 from vntoolkit.io.footage.captures import Capture, CaptureOptions, open_capture
 from vntoolkit.io.footage.decoding import rectify_frame
-from vntoolkit.io.footage.frame_range import Gaps
 from vntoolkit.io.footage.gel_dots import DotFilter
 from vntoolkit.io.footage.images import write_png
-from vntoolkit.io.footage.mosaics import SensorOptions
 from vntoolkit.normals.gel import change_without_drift
+from vntoolkit.options.calibration import LabelOffset, PressOptions
+from vntoolkit.options.footage import Gaps, SensorOptions
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import (
@@ -93,7 +93,7 @@ class _ReadPress:
 
 
 def calibrate_presses(
-    job: PressJob, options: presses.PressOptions, on_frame: Progress = lambda done, total: None
+    job: PressJob, options: PressOptions, on_frame: Progress = lambda done, total: None
 ) -> PressCalibration:
     """Fit a rig to presses; images without a label, or without a dent where it is sought, are passed over."""
     rng = np.random.default_rng(_SEED)
@@ -114,14 +114,14 @@ def calibrate_presses(
     level = np.median(background.rgb[~background.clipped].astype(np.float64), axis=0)
     height, width = background.shape
     if job.labels is None:  # what was found has no common offset
-        options = replace(options, label_offset=presses.LabelOffset.OWN)
+        options = replace(options, label_offset=LabelOffset.OWN)
     radii_mm = options.pixel_mm * np.array([part.press.radius_px for part in samples])
     findings = [
         *_findings_from_labels(job, read, (width, height)),
         *press_checks.check_contacts(radii_mm / options.ball_radius_mm),
     ]
     fit = presses.fit_gel_to_presses(samples, level, (width, height), options)
-    if options.label_offset is presses.LabelOffset.COMMON:
+    if options.label_offset is LabelOffset.COMMON:
         findings += press_checks.check_offset(fit.label_offset_px, presses.largest_label_offset(samples))
     findings += _findings_from_transfer(samples, level, fit, options, capture.transfer)
     gel = fit.gel
@@ -167,7 +167,7 @@ def _findings_from_transfer(
     samples: list[presses.PressSamples],
     level: Vector3,
     fit: presses.GelFit,
-    options: presses.PressOptions,
+    options: PressOptions,
     used: Transfer,
 ) -> list[Finding]:
     """Fit one M with other transfer curves too, from the same samples."""
@@ -257,7 +257,7 @@ class PressReader:
 
 
 def _read(
-    reader: PressReader, options: presses.PressOptions, rng: np.random.Generator, on_frame: Progress
+    reader: PressReader, options: PressOptions, rng: np.random.Generator, on_frame: Progress
 ) -> Iterator[_ReadPress]:
     job, capture = reader.job, reader.capture
     for done, frame in enumerate(capture.frames(), start=1):

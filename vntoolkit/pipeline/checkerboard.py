@@ -12,8 +12,9 @@ from vntoolkit.io.footage.frame_range import sampled
 from vntoolkit.io.footage.images import write_png
 from vntoolkit.io.footage.video import write_video
 from vntoolkit.io.results.sequences import read_mesh_sequence
+from vntoolkit.options.tracking import CheckerboardOptions
 from vntoolkit.pipeline.tracked_folder import TrackSource, open_track_source, read_track_record
-from vntoolkit.tracking.checkerboard import CheckerboardOptions, checkerboard_frame
+from vntoolkit.tracking.checkerboard import checkerboard_frame
 
 _SHEET_COLUMNS, _SHEET_ROWS = 4, 2
 

@@ -7,49 +7,28 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from vntoolkit.calibration.board import BoardOptions
-from vntoolkit.errors import BadInput
 from vntoolkit.geometry.board_layout import BoardLayout
 from vntoolkit.io.atomic import sole_writer
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.rigs import read_rig, write_rig
+from vntoolkit.options.calibration import BoardOptions
+from vntoolkit.options.reconstruction import ReconstructOptions
+from vntoolkit.options.simulation import DemoOptions, SceneOptions
 from vntoolkit.pipeline.block_work import ReconstructionJob
 from vntoolkit.pipeline.calibrate import CalibrationJob, calibrate_board
-from vntoolkit.pipeline.options import ReconstructOptions
 from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.processes import processes_kept
 from vntoolkit.pipeline.reconstruct import ReconstructionSummary, reconstruct
 from vntoolkit.pipeline.simulate import SimulationFolder, SimulationJob, simulate
 from vntoolkit.simulation.lights import CAMERA_DISTANCE_M
-from vntoolkit.simulation.scene import SceneOptions, build_scene
+from vntoolkit.simulation.scene import build_scene
 
 _BOARD = "board_sweep"  # carried through the field, so that M is known all over it: the lights are near
 _BOARD_STEP = 3  # of its 240 frames: neighbours show the same tilt
 _DEGREE = 2  # of the polynomials by which M varies
 _FIELD_WIDTH_M = 1.42  # one zoom for the board and the garment, as on a real set
-_LEAST_WIDTH, _LEAST_HEIGHT = 640, 480  # on smaller images the board's corners are too coarse for a camera
 
 Stage = Callable[[str, int, int], None]
-
-
-@dataclass(frozen=True, kw_only=True)
-class DemoOptions:
-    """How large the demonstration is.
-
-    frames: frames of the garment that are filmed and reconstructed. width: width of the images, pixels, at
-    least 640. height: height of the images, pixels, at least 480.
-    """
-
-    frames: int = 12
-    width: int = 640
-    height: int = 480
-
-    def __post_init__(self) -> None:
-        if not 1 <= self.frames <= 1000:
-            raise BadInput(f"demo: expected 1 to 1000 frames, got {self.frames}")
-        if self.width < _LEAST_WIDTH or self.height < _LEAST_HEIGHT:
-            least = f"{_LEAST_WIDTH}×{_LEAST_HEIGHT}"
-            raise BadInput(f"demo: expected images of at least {least}, got {self.width}×{self.height}")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,15 +2,13 @@
 
 import logging
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field, replace
-from enum import Enum
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-import vntoolkit
 from vntoolkit.arrays import Faces, Float32Array, FloatArray, IntArray, Points, Vector3
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
@@ -27,18 +25,26 @@ from vntoolkit.io.maps_and_meshes.usd import write_usd_sequence, write_usd_skin
 from vntoolkit.io.motion.asf import read_asf_amc
 from vntoolkit.io.motion.bvh import read_bvh
 from vntoolkit.io.results.sequences import read_mesh_sequence
+from vntoolkit.options.dressing import (
+    Blend,
+    Carrier,
+    DressOptions,
+    Garment,
+    MotionUpAxis,
+)
 from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.texture import SurfaceTexture, read_texture, texture_of_tracks
 from vntoolkit.pipeline.tracked_folder import colours_at, read_track_record, recorded_camera, uv_in_picture
+from vntoolkit.shipped import shipped_files
 from vntoolkit.skinning import clock as clocks
-from vntoolkit.skinning.alignment import Anchor, CapturedMotion, parts_of
+from vntoolkit.skinning.alignment import CapturedMotion, parts_of
 from vntoolkit.skinning.anatomy import anatomy_of, legs_of
 from vntoolkit.skinning.attachment import GarmentCover, SleeveCover, weights_without_web
-from vntoolkit.skinning.blending import Blend, skinned_vertices
+from vntoolkit.skinning.blending import skinned_vertices
 from vntoolkit.skinning.findings import DressingFindings, DressingMeter
-from vntoolkit.skinning.fitting import Fitting, Garment, GarmentFitOptions, fit_garment_to_figure
+from vntoolkit.skinning.fitting import Fitting, fit_garment_to_figure
 from vntoolkit.skinning.sleeves import regions_of_garment
-from vntoolkit.skinning.weights import SkinWeights, WeightOptions
+from vntoolkit.skinning.weights import SkinWeights
 
 logger = logging.getLogger(__name__)
 _FLOOR_SAMPLES = 50
@@ -46,64 +52,8 @@ _FOLDS = 16  # blend shapes: what is left out of the folds of a walking jumper i
 _FRAMES_LOOKED_AT = 12  # for sleeves or legs that stand apart
 _KEPT_BYTES = 1 << 28  # frames of a clip of some seconds; of a longer one the others are made anew
 _WEB_SAMPLES = 32  # poses of the motion in which web is looked for
-FIGURE_HEIGHT_M = 1.65  # toes to crown of an average adult, as skeletons measure it
 _Z_UP_TO_Y_UP = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # in camera axes: −z becomes −y
 _FILE_SUFFIXES, _SEQUENCE_SUFFIXES = (".usdc", ".usd", ".glb"), (".ply", ".obj")
-
-
-class Carrier(Enum):
-    """What moves the cloth in a USD or GLB.
-
-    SKIN: joint weights and blend shapes. CACHE: every vertex of every frame, exact and large.
-    """
-
-    SKIN = "skin"
-    CACHE = "cache"
-
-
-class MotionUpAxis(Enum):
-    """Which axis of the motion file points up; AUTO takes the longer of y and z of the rest pose."""
-
-    AUTO = "auto"
-    Y = "y"
-    Z = "z"
-
-
-@dataclass(frozen=True, kw_only=True)
-class DressOptions:
-    """Options of `dress`, beyond those of its stages.
-
-    blend: how a vertex mixes the motions of its bones. anchor: what of the captured motion is taken out.
-    bones: that of the performer's trunk and arms, so that the sleeves follow the figure's arms alone; folds
-    keep moving. trunk: that of the trunk, so that captured sleeves swing on top of the figure's. none keeps
-    the performer's steps too. figure_height: metres from
-    the toes to the crown, for motion files that carry no unit. up_axis: which axis of the motion file points
-    up. max_stretch: largest stretch of a triangle's edge where the parts of two bones meet. A triangle that
-    the motion stretches more is cut: the capture joined what only touched, such as sleeve and flank. 0 cuts
-    nothing; weights by distance cut nothing either. carrier: what moves the cloth in USD and GLB: a skin
-    (joint weights, and blend shapes for the folds), or a cache of every vertex in every frame, exact and
-    large. Dual quaternions are written as a cache. centre: the figure begins above the origin of the file and
-    stands on its floor. map: joints of the arms, where their names and lengths do
-    not tell: left-upper-arm=JOINT, left-forearm, left-hand, right-upper-arm and so on; once for each.
-    """
-
-    blend: Blend = Blend.LINEAR
-    anchor: Anchor = Anchor.BONES
-    figure_height: float = FIGURE_HEIGHT_M
-    up_axis: MotionUpAxis = MotionUpAxis.AUTO
-    max_stretch: float = 3.0
-    carrier: Carrier = Carrier.SKIN
-    centre: bool = True
-    map: tuple[str, ...] = ()
-    fitting: GarmentFitOptions = field(default_factory=GarmentFitOptions)
-    weights: WeightOptions = field(default_factory=WeightOptions)
-    clock: clocks.ClockOptions = field(default_factory=clocks.ClockOptions)
-
-    def __post_init__(self) -> None:
-        if not 0 < self.figure_height < np.inf:
-            raise BadInput(f"figure height: expected positive metres, got {self.figure_height:g}")
-        if self.max_stretch != 0 and not self.max_stretch > 1:
-            raise BadInput(f"max stretch: expected a factor above 1, or 0, got {self.max_stretch:g}")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -314,7 +264,7 @@ def dress(
 
 def _telling_frame(cloth: MeshSequence, kind: Garment) -> int:
     """Return the first of some frames that shows both sleeves or both legs apart, else the best of them."""
-    if kind is not Garment.AUTO and kind is not Garment.TROUSERS and not kind.has_sleeves:
+    if kind not in (Garment.AUTO, Garment.TROUSERS, Garment.SWEATER):
         return 0
     most, best = -1, 0
     for frame in sampled(range(len(cloth)), _FRAMES_LOOKED_AT):
@@ -513,15 +463,6 @@ def _given_or_shipped(path: Path) -> Path:
     if not path.exists() and len(path.parts) == 2 and path.parts[0] == "data":
         return shipped_files().get(path.name, path)
     return path
-
-
-def shipped_files() -> dict[str, Path]:
-    """Return the files of data/ by name, of the package or of its repository."""
-    package = Path(vntoolkit.__file__).parent
-    found: dict[str, Path] = {}
-    for folder in (package.parent / "data", package / "data"):
-        found |= {path.name: path for path in sorted(folder.glob("*.*")) if path.suffix != ".md"}
-    return found
 
 
 def _skeleton_beside(path: Path) -> Path:

@@ -26,9 +26,7 @@ from vntoolkit.geometry.camera import Camera, CameraModel
 from vntoolkit.geometry.maps import DepthMap, NormalMap
 from vntoolkit.geometry.mesh import MeshSequence
 from vntoolkit.integration.integrate import DepthIntegrator
-from vntoolkit.integration.options import IntegrationOptions, Integrator
 from vntoolkit.io.atomic import write_text
-from vntoolkit.io.conventions import NormalConvention
 from vntoolkit.io.files import parse_json, read_text, require_file
 from vntoolkit.io.maps_and_meshes.arrays import map_npy, read_npz
 from vntoolkit.io.maps_and_meshes.label_images import read_mask
@@ -36,6 +34,8 @@ from vntoolkit.io.maps_and_meshes.maps import read_normal_map
 from vntoolkit.io.maps_and_meshes.meshes import read_mesh
 from vntoolkit.io.results.sequences import read_mesh_sequence
 from vntoolkit.io.rigs import read_rig
+from vntoolkit.options.depth import IntegrationOptions, Integrator
+from vntoolkit.options.export import NormalConvention
 from vntoolkit.pipeline.opened_result import OpenedResult
 from vntoolkit.pipeline.simulate import SimulationFolder
 from vntoolkit.pipeline.tracked_folder import read_track_record, recorded_camera

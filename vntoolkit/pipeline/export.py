@@ -5,7 +5,6 @@ import logging
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from enum import Enum
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +17,7 @@ from vntoolkit.geometry.maps import LengthUnit
 from vntoolkit.geometry.mesh import Mesh, vertex_normals
 from vntoolkit.geometry.skinned_clip import ViewedFrom
 from vntoolkit.io import atomic
-from vntoolkit.io.conventions import MeshUpAxis, NormalConvention, graphics_from_camera
+from vntoolkit.io.conventions import graphics_from_camera
 from vntoolkit.io.files import parse_json, read_text
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.light_files import remove_diligent, write_diligent
@@ -27,8 +26,14 @@ from vntoolkit.io.maps_and_meshes.glb import write_glb
 from vntoolkit.io.maps_and_meshes.maps import write_normal_map
 from vntoolkit.io.maps_and_meshes.meshes import write_material, write_mesh, write_point_cloud
 from vntoolkit.io.maps_and_meshes.usd import write_usd_meshes, write_usd_sequence
-from vntoolkit.meshing.clean import CleanOptions, clean_mesh
+from vntoolkit.meshing.clean import clean_mesh
 from vntoolkit.meshing.surface import point_cloud_from_depth
+from vntoolkit.options.export import (
+    ExportedSurface,
+    ExportFormat,
+    ExportOptions,
+    FileUnit,
+)
 from vntoolkit.pipeline.opened_result import OpenedResult, TrackedSurface, open_result
 from vntoolkit.pipeline.options import option_values
 from vntoolkit.pipeline.texture import SurfaceTexture, texture_of_tracks
@@ -257,80 +262,6 @@ def _clear(out: Path) -> None:
     for name in ("track.npz", _MATERIAL, "surface_albedo.png", "surface_normal.png"):
         (out / name).unlink(missing_ok=True)
     (out / _RECORD).unlink()
-
-
-class ExportFormat(Enum):
-    """Format of an export."""
-
-    PLY = "ply"  # a mesh a frame
-    OBJ = "obj"  # a mesh a frame
-    USD = "usd"  # one animated file
-    GLB = "glb"  # one animated file of a registered surface, else one a frame
-    POINTS = "points"  # a point cloud a frame, .ply: one point a pixel that has a depth
-    NPZ = "npz"  # arrays: one file a frame, and one of a registered surface
-    DILIGENT = "diligent"  # one folder a frame, laid out like the benchmark's
-    PNG = "png"  # 16-bit normal maps
-
-
-class ExportedSurface(Enum):
-    """Which meshes: of one topology, or a new one every frame."""
-
-    AUTO = "auto"  # the registered surface where there is one
-    TRACKED = "tracked"
-    FRAMES = "frames"
-
-
-class FileUnit(Enum):
-    """Length unit of exported files."""
-
-    M = "m"
-    CM = "cm"
-    MM = "mm"
-
-    @property
-    def metres(self) -> float:
-        """Its length."""
-        return {"m": 1.0, "cm": 0.01, "mm": 0.001}[self.value]
-
-
-_OF_MESHES = (ExportFormat.PLY, ExportFormat.OBJ, ExportFormat.USD, ExportFormat.GLB)
-
-
-@dataclass(frozen=True, kw_only=True)
-class ExportOptions:
-    """Options of an export.
-
-    to: the format. usd: one animated file (set the frame rate of Blender's scene to the capture's, since
-    Blender keeps its own). glb: one animated file of a registered surface, else one a frame. ply, obj: a mesh
-    a frame. points: a point cloud a frame as .ply, of all pixels with a depth. npz: arrays. png: 16-bit
-    normal maps. diligent: a folder a frame, laid out like the benchmark's. normal_convention: axes of normal
-    maps (png, npz, diligent). units: length unit of the files, for a result that has a scale. Default:
-    metres; without a scale, lengths stay as they are. up: axis that points up in meshes. scale: metres for a
-    length of 1 in a result that has no scale of its own (lengths in pixels, or free). mesh: which meshes:
-    tracked (the registered surface), frames (those of each frame), or auto (the registered one where there is
-    one). centre: move the registered surface so that its template stands above the origin, its hem on the
-    floor; the file's camera is where it was, seen from there. cleaning: what is cleaned of the frames'
-    meshes; None for nothing.
-    """
-
-    to: ExportFormat
-    normal_convention: NormalConvention = NormalConvention.OPENGL
-    units: FileUnit | None = None
-    up: MeshUpAxis = MeshUpAxis.Y
-    scale: float | None = None
-    mesh: ExportedSurface = ExportedSurface.AUTO
-    centre: bool = True
-    cleaning: CleanOptions | None = None
-
-    def __post_init__(self) -> None:
-        if self.scale is not None and not self.scale > 0:
-            raise BadInput(f"scale: expected a positive number of metres, got {self.scale:g}")
-        if self.to is ExportFormat.GLB and (
-            self.up is not MeshUpAxis.Y or self.units not in (None, FileUnit.M)
-        ):
-            raise BadInput("a GLB has metres and y up by its standard: leave out --units and --up")
-        if self.cleaning is not None and self.to not in _OF_MESHES:
-            raise BadInput(f"cleaning is for meshes, and {self.to.value} has none: leave out --clean")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -15,11 +15,11 @@ from vntoolkit.arrays import FloatArray, Matrix3
 from vntoolkit.errors import BadRig, VntError
 from vntoolkit.io.footage.captures import Capture
 from vntoolkit.io.footage.mattes import Mattes
+from vntoolkit.options.normals import ShadowMethod
+from vntoolkit.options.reconstruction import MaterialSearch, Product
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline.block_work import ReconstructionJob
 from vntoolkit.pipeline.frame_processor import FrameProcessor
-from vntoolkit.pipeline.options import MaterialSearch, Product
-from vntoolkit.shadows.detector import ShadowMethod
 from vntoolkit.shadows.lamp_directions import SURE_DEG, directions_from_unlit
 
 logger = logging.getLogger(__name__)

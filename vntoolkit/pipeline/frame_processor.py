@@ -16,24 +16,25 @@ from vntoolkit.integration.integrate import DepthAnchor, DepthIntegrator
 from vntoolkit.integration.slopes import rays_from_camera
 from vntoolkit.io.footage.decoding import EncodedFrame, linear_frame_from_encoded, resampler_of
 from vntoolkit.io.footage.gel_dots import DotFilter
-from vntoolkit.materials.labelling import MaterialLabeller
-from vntoolkit.materials.pixels import MaterialLabels
-from vntoolkit.materials.relighting import box_of, colours_of
+from vntoolkit.materials.labelling import FrameStatistics, LabelState, MaterialLabeller
+from vntoolkit.materials.mixtures import MaterialLabels
+from vntoolkit.materials.relighting import colours_of
+from vntoolkit.materials.split_frame import box_of
 from vntoolkit.meshing.surface import mesh_from_depth
 from vntoolkit.native import keep_freed_memory
 from vntoolkit.normals import expected_error
 from vntoolkit.normals.gel import GelInverter, drift_of_change
 from vntoolkit.normals.inversion import normals_from_encoded, normals_from_frame, relative_albedo_from_frame
+from vntoolkit.options.normals import ShadowMethod
+from vntoolkit.options.reconstruction import Product, ReconstructOptions
 from vntoolkit.photometry.frame import ALL_LIT, LinearFrame
 from vntoolkit.photometry.levelling import Box, leveller_of
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import Transfer, TransferCurve, encoded_from_linear
 from vntoolkit.pipeline.contact import contact_from_depth, rested
-from vntoolkit.pipeline.options import Product, ReconstructOptions
 from vntoolkit.pipeline.outputs import FrameResult
-from vntoolkit.pipeline.painted_surface import PaintedSurface
 from vntoolkit.shadows.contributions import brighter_than
-from vntoolkit.shadows.detector import ShadowDetector, ShadowMethod
+from vntoolkit.shadows.detector import ShadowDetector
 from vntoolkit.shadows.lamp_directions import LampDirections, directions_from_shadows, unlit_by_lamp
 from vntoolkit.shadows.recovery import recover_normals
 
@@ -75,13 +76,12 @@ class FrameProcessor:
         reflectances: Sequence[Sequence[float]] = (),
         pigments: Sequence[Sequence[float]] = (),
         errors_deg: Sequence[float] = (),
-        painted: PaintedSurface | None = None,
         blur_px: float = 0.0,
     ) -> None:
         """reflectances: (m, 3), of the subject's materials relative to the rig's; empty for the rig's alone.
         pigments: (m, 3), along which log reflectances change, 0 for none. errors_deg: (m,), root mean square
-        angles by which errors of the reflectances turn normals. painted: a tracked surface whose own
-        reflectances count before these. blur_px: standard deviation of the picture's blur, 0 for unknown.
+        angles by which errors of the reflectances turn normals. blur_px: standard deviation of the picture's
+        blur, 0 for unknown.
 
         with_errors: whether normals and depth carry their expected errors; a live view has no time."""
         keep_freed_memory()
@@ -118,13 +118,17 @@ class FrameProcessor:
             self._leveller = leveller_of(rig.response, shape)
         self._detector = ShadowDetector(self._central, options.shadows)
         self._reflectances = np.array(reflectances, dtype=np.float64).reshape(-1, 3)
-        self._painted = painted
         self._labeller: MaterialLabeller | None = None
+        self._labelled_before = LabelState()
+        self._statistics: FrameStatistics | None = None  # of materials, as the reference frame told them
         if len(self._reflectances):
             self._labeller = MaterialLabeller(
-                self._central, self._reflectances, np.array(pigments, dtype=np.float64).reshape(-1, 3),
-                self.camera, self._leveller,
-            )  # fmt: skip
+                response=self._central,
+                reflectances=self._reflectances,
+                pigments=np.array(pigments, dtype=np.float64).reshape(-1, 3),
+                camera=self.camera,
+                leveller=self._leveller,
+            )
             self._bounds_deg = (expected_error.OF_ANGLE * np.array(errors_deg or [0.0])).astype(np.float32)
             self._paints = encoded_from_linear(
                 colours_of(self._reflectances, self._central), Transfer(curve=TransferCurve.SRGB)
@@ -148,15 +152,13 @@ class FrameProcessor:
                 self._anchor = DepthAnchor(self._integrated(result))
         else:
             self._labelled(frame, matte)
-        if self._labeller is not None:
-            self._labeller.keep()
+        self._statistics = self._labelled_before.statistics
         self.forget()
 
     def forget(self) -> None:
         """Drop everything that one frame hands to the next, so that a run may start at any block."""
         self._integrator = DepthIntegrator(self.camera, self._options.integration)
-        if self._labeller is not None:
-            self._labeller.forget()
+        self._labelled_before = LabelState(statistics=self._statistics)
 
     def process(self, frame: EncodedFrame, matte: Mask | None = None) -> FrameResult:
         """Invert, integrate and mesh one frame, as far as the options say.
@@ -218,17 +220,13 @@ class FrameProcessor:
         linear, materials = self._labelled(frame, matte)
         if linear is None:
             return SeenFrame(frame=frame, mask=self._mask)
-        filmed, turned_deg = linear, None
+        turned_deg = None
         if self._labeller is not None and materials is not None:
-            linear = self._labeller.relit(linear, materials, self._mask, box_of(self._mask))
-            turned_deg = self._labeller.turned_deg
+            linear, turned_deg, self._labelled_before = self._labeller.relit(
+                linear, materials, self._labelled_before, self._mask, box_of(self._mask)
+            )
             if self._bounds_deg.any():
                 turned_deg = expected_error.doubts_of_materials(materials, self._bounds_deg, turned_deg)
-        if self._painted is not None:
-            linear = self._painted.relit(filmed, linear, frame.number, materials)
-            # the mean over frames is in doubt as what one frame tells: frames err alike
-            told = self._painted.turned_deg
-            turned_deg = told if turned_deg is None or told is None else np.maximum(told, turned_deg)
         return SeenFrame(
             frame=frame, mask=self._mask, linear=linear, materials=materials, turned_deg=turned_deg
         )
@@ -242,12 +240,11 @@ class FrameProcessor:
         if self._is_plain(frame):
             return None, None
         linear = self.linear(frame)
-        if self._painted is not None:
-            self._mask = self._mask & self._painted.mask(frame.number)
         if self._labeller is None:
             return linear, None
         self._mask = self.lit_subject(linear)
-        return linear, self._labeller.labels(linear, self._mask)
+        labels, self._labelled_before = self._labeller.labels(linear, self._mask, self._labelled_before)
+        return linear, labels
 
     def _normals(self, seen: SeenFrame) -> FrameResult:
         frame, mask, linear, residual_deg = seen.frame, seen.mask, seen.linear, self._residual_deg
@@ -350,7 +347,7 @@ class FrameProcessor:
         """True where the kernel that decodes and inverts in one pass may be used."""
         integers = frame.values.dtype in (np.uint8, np.uint16)
         plain = self._options.shadows is ShadowMethod.NONE and self._background is None
-        plain = plain and self._labeller is None and self._painted is None
+        plain = plain and self._labeller is None
         return integers and plain and not self._resampler.changes_frames
 
     def _integrated(self, result: FrameResult) -> DepthMap:

@@ -10,12 +10,10 @@ from scipy.ndimage import gaussian_filter
 from vntoolkit.arrays import FloatArray, Mask, Vector3
 from vntoolkit.errors import BadCapture, BadInput
 from vntoolkit.io.footage.captures import Capture
-from vntoolkit.io.footage.decoding import EncodedFrame
 from vntoolkit.io.footage.mattes import Mattes
 from vntoolkit.io.results.manifest import MaterialEntry
-from vntoolkit.materials.labelling import MaterialLabeller
-from vntoolkit.materials.pixels import MaterialLabels
-from vntoolkit.materials.regions import UNEVEN
+from vntoolkit.materials.labelling import LabelState, MaterialLabeller
+from vntoolkit.materials.mixtures import MaterialLabels
 from vntoolkit.materials.relighting import relit
 from vntoolkit.materials.search import (
     WORST_ERROR_DEG,
@@ -26,17 +24,18 @@ from vntoolkit.materials.search import (
 )
 from vntoolkit.materials.split_frame import block_size
 from vntoolkit.normals.inversion import relative_albedo_from_frame
+from vntoolkit.options.reconstruction import MaterialSearch
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.levelling import leveller_of
 from vntoolkit.photometry.response import LightResponse, scaled_normals_from_rgb
 from vntoolkit.pipeline.block_work import ReconstructionJob, read_ahead
 from vntoolkit.pipeline.found_lamps import lamps_in_words
 from vntoolkit.pipeline.frame_processor import FrameProcessor
-from vntoolkit.pipeline.options import MaterialSearch
 
 logger = logging.getLogger(__name__)
 _LOOKED_AT = 3  # frames …
 _APART = 8  # … this far from each other, where there are as many: the subject then shows other normals
+_UNEVEN = 0.1  # of log light over a subject that stands a few of its sizes from the lamps
 _SAME_DEG = 1.5  # mean turn of normals below which a material is the rig's own
 # Turn of normals, over the scatter of their lengths from region to region as an angle, that gloss may have
 # made: photographs of one material have 0.8 to 1.4, other colours on cloth 2 and more, on skin 6.
@@ -72,44 +71,6 @@ class MeasuredMaterials:
     seen: "LabelledFrame | None" = None
 
 
-class FirstFrames:
-    """The frames that materials are measured on: the first, and some in which the subject has moved."""
-
-    def __init__(self, capture: Capture, mattes: Mattes, numbers: range) -> None:
-        self._capture, self._mattes = capture, mattes
-        there = [n for n in capture.present if n in numbers and not mattes.missing([n])]
-        step = max(1, min(_APART, (len(there) - 1) // (_LOOKED_AT - 1)))
-        self._numbers = there[::step][:_LOOKED_AT]
-        self._encoded: dict[int, EncodedFrame] = {}
-
-    def seen(self, job: ReconstructionJob) -> Iterator["_FirstFrame"]:
-        """Yield them in linear light, decoded once however often they are asked for.
-
-        The first alone where the job seeks no materials.
-        """
-        numbers = self._numbers if seeks_materials(job) else self._numbers[:1]
-        for encoded in read_ahead(map(self._decoded, numbers), len(numbers) if job.threads > 1 else 0):
-            mask = self._mattes.of(encoded)
-            processor = FrameProcessor(job.rig, job.options, mask, self._capture.background)
-            frame = processor.linear(encoded)
-            yield _FirstFrame(
-                name=encoded.name,
-                frame=frame,
-                by_strength=processor.by_strength(frame),
-                mask=processor.mask,
-                subject=processor.lit_subject(frame),
-            )
-
-    def keep_first(self, count: int) -> None:
-        """Keep the first `count` frames alone: materials were not searched on the others."""
-        self._numbers = self._numbers[:count]
-
-    def _decoded(self, number: int) -> EncodedFrame:
-        if number not in self._encoded:
-            self._encoded[number] = self._capture.encoded(number)
-        return self._encoded[number]
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _FirstFrame:
     """One of the frames looked at, and with every lamp as strong as at the centre. mask, subject: (h, w)."""
@@ -121,14 +82,36 @@ class _FirstFrame:
     subject: Mask
 
 
-def measured_materials(job: ReconstructionJob, first_frames: FirstFrames) -> MeasuredMaterials:
+def first_frames(
+    job: ReconstructionJob, capture: Capture, mattes: Mattes, numbers: range
+) -> Iterator[_FirstFrame]:
+    """Yield the first frame and, where materials are sought, some in which the subject has moved."""
+    there = [n for n in capture.present if n in numbers and not mattes.missing([n])]
+    step = max(1, min(_APART, (len(there) - 1) // (_LOOKED_AT - 1)))
+    numbers_seen = there[::step][: _LOOKED_AT if seeks_materials(job) else 1]
+    ahead = len(numbers_seen) if job.threads > 1 else 0
+    for encoded in read_ahead(map(capture.encoded, numbers_seen), ahead):
+        processor = FrameProcessor(job.rig, job.options, mattes.of(encoded), capture.background)
+        frame = processor.linear(encoded)
+        yield _FirstFrame(
+            name=encoded.name,
+            frame=frame,
+            by_strength=processor.by_strength(frame),
+            mask=processor.mask,
+            subject=processor.lit_subject(frame),
+        )
+
+
+def measured_materials(
+    job: ReconstructionJob, capture: Capture, mattes: Mattes, numbers: range
+) -> MeasuredMaterials:
     """Measure the materials, or how bright the rig's is.
 
     Logs a warning where the footage cannot tell, or is not of the calibration material though it counts as
     such. Raises `BadInput` where a number of materials is asked for that cannot be told, `BadCapture` where
     the first frame shows nothing.
     """
-    firsts = list(first_frames.seen(job))
+    firsts = list(first_frames(job, capture, mattes, numbers))
     response, choice = job.rig.response, job.options.materials
     if seeks_materials(job):
         levelled, subjects = zip(*((each.by_strength, each.subject) for each in firsts), strict=True)
@@ -136,7 +119,6 @@ def measured_materials(job: ReconstructionJob, first_frames: FirstFrames) -> Mea
         first = levelled[0], subjects[0], central
         count = None if isinstance(choice, MaterialSearch) else choice
         searched = searched_frames(levelled, subjects, central)
-        first_frames.keep_first(searched.count)
         found = find_materials(searched, count)
         seen = LabelledFrame.by(found, *first)
         if count is None and seen.left_at_seams() > _MOST_LEFT:
@@ -158,7 +140,7 @@ def measured_materials(job: ReconstructionJob, first_frames: FirstFrames) -> Mea
 
 
 def refitted_materials(
-    job: ReconstructionJob, first_frames: FirstFrames, first: "LabelledFrame"
+    job: ReconstructionJob, capture: Capture, mattes: Mattes, numbers: range, first: "LabelledFrame"
 ) -> list[MaterialEntry]:
     """Return the job's materials, fitted again to what the first frames show under lamps that are near.
 
@@ -166,23 +148,21 @@ def refitted_materials(
     first: the first frame, labelled by the materials as they were measured.
     """
     response, known = job.rig.response, np.array(job.reflectances)
-    labeller, far, subjects = first.labeller.with_reflectances(known), [], []
-    labels: list[MaterialLabels] = []
-    for each in first_frames.seen(job):
-        labeller.forget()
-        labels.append(labeller.labels(each.by_strength, each.subject) if labels else first.labels)
-        seams = labeller.seams
-        # Colours that a camera interpolated make normals longer, most in dark paint: as noise does.
-        weighed = None if seams is None or seams.red is None else seams.of_any_length
-        light = relit(each.frame, response.central, labels[-1], known, seams=weighed, mask=each.subject)
+    labeller, subjects = replace(first.labeller, reflectances=known), []
+    far: list[LinearFrame] = []
+    for each in first_frames(job, capture, mattes, numbers):
+        labels = first.labels
+        if far:
+            told = LabelState(statistics=first.state.statistics)
+            labels, _ = labeller.labels(each.by_strength, each.subject, told)
+        light = relit(each.frame, response.central, labels, known, mask=each.subject)
         plain = leveller_of(response, each.subject.shape).frame(light)
-        far.append(relit(plain, response.central, labels[-1], 1.0 / known))
+        far.append(relit(plain, response.central, labels, 1.0 / known))
         subjects.append(each.subject)
     found = fitted_again(searched_frames(far, subjects, response.central), known)
-    labeller = labeller.with_reflectances(np.array([each.reflectance.values for each in found]))
-    seen = LabelledFrame(
-        frame=far[0], mask=subjects[0], response=response.central, labeller=labeller, labels=labels[0]
-    )
+    values = np.array([each.reflectance.values for each in found])
+    labeller = replace(labeller, reflectances=values)
+    seen = replace(first, frame=far[0], mask=subjects[0], labeller=labeller)
     return _entries(*_with_pigments(found, seen))
 
 
@@ -224,32 +204,37 @@ def _told(found: list[Material], choice: MaterialSearch | int) -> list[Material]
 class LabelledFrame:
     """A frame whose pixels are labelled, (h, w), by the materials of its labeller.
 
-    The labeller knows what the frame told of noise and blur.
+    state: what the frame told of noise and blur.
     """
 
     frame: LinearFrame
     mask: Mask
-    response: LightResponse
     labeller: MaterialLabeller
     labels: MaterialLabels
+    state: LabelState
 
     @classmethod
     def by(
         cls, found: list[Material], frame: LinearFrame, mask: Mask, response: LightResponse
     ) -> "LabelledFrame":
         """Label a frame."""
-        labeller = MaterialLabeller(response, np.array([each.reflectance.values for each in found]))
-        labels = labeller.labels(frame, mask)
-        labeller.keep()
-        return cls(frame=frame, mask=mask, response=response, labeller=labeller, labels=labels)
+        values = np.array([each.reflectance.values for each in found])
+        labeller = MaterialLabeller(response=response, reflectances=values)
+        labels, state = labeller.labels(frame, mask, LabelState())
+        return cls(frame=frame, mask=mask, labeller=labeller, labels=labels, state=state)
+
+    @property
+    def response(self) -> LightResponse:
+        """Of the rig."""
+        return self.labeller.response
 
     def left_at_seams(self) -> float:
         """Return the share of the steps of normals at seams that the materials do not explain."""
-        return self.labeller.left_at_seams(self.frame, self.mask, self.labels)
+        return self.labeller.left_at_seams(self.frame, self.mask, self.labels, self.state)
 
     def pigments(self) -> list[tuple[Vector3, Vector3] | None]:
         """Return for each material the line along which it changes and log ρ, or None."""
-        return self.labeller.pigments(self.frame, self.mask, self.labels)
+        return self.labeller.pigments_of(self.frame, self.mask, self.labels, self.state)
 
     def relit(self, found: list[Material], pigments: list[Vector3 | None]) -> FloatArray:
         """Return the colours (n, 3) of some sound pixels as they would be in the rig's material.
@@ -258,7 +243,7 @@ class LabelledFrame:
         """
         values = np.array([each.reflectance.values for each in found])
         along = np.array([np.zeros(3) if each is None else each for each in pigments])
-        rgb = relit(self.frame, self.response, self.labels, values, along, self.labeller.seams, self.mask).rgb
+        rgb = relit(self.frame, self.response, self.labels, values, along, self.state.seams, self.mask).rgb
         sound = np.flatnonzero(self.mask & ~self.frame.clipped)
         return rgb.reshape(-1, 3)[sound[:: max(1, len(sound) // _JUDGED)]].astype(np.float64)
 
@@ -315,7 +300,7 @@ def _are_alike(
     """True where the materials may be one: gloss and uneven light alone make it look as different."""
     values, turned = one.reflectance.values, 0.0
     for each in found:
-        if abs(np.log(each.reflectance.values / values).mean()) > UNEVEN:
+        if abs(np.log(each.reflectance.values / values).mean()) > _UNEVEN:
             return False
         turn_deg, bent_deg = _turn_deg(each.reflectance.values, one, frame, mask, response)
         turned += each.share * turn_deg

@@ -17,22 +17,21 @@ from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
 from vntoolkit.geometry.mesh import Mesh, MeshSequence
 from vntoolkit.io.footage.captures import Capture, CaptureOptions, open_capture
 from vntoolkit.io.footage.decoding import linear_frame_from_encoded, resampler_of
-from vntoolkit.io.footage.frame_range import FrameRange, Gaps
+from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.maps_and_meshes.label_images import read_labels, read_materials
 from vntoolkit.io.maps_and_meshes.maps import read_depth_map, read_normal_map
 from vntoolkit.io.maps_and_meshes.meshes import read_mesh
 from vntoolkit.io.results.frame_log import FrameEntry, FrameLog
-from vntoolkit.io.results.manifest import Manifest, has_manifest, read_manifest, result_digest
+from vntoolkit.io.results.manifest import Manifest, read_manifest, result_digest
 from vntoolkit.io.results.sequences import read_mesh_sequence
 from vntoolkit.io.rigs import rig_from_entry
+from vntoolkit.options.footage import Gaps
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import Transfer, TransferCurve, encoded_from_linear
 from vntoolkit.pipeline.options import sensor_from_values
 from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.tracked_folder import (
-    REFINED_NAME,
-    REFLECTANCE_NAME,
     read_track_record,
     uv_in_picture,
 )
@@ -146,14 +145,6 @@ class OpenedResult:
         textured = replace(sequence, template=replace(sequence.template, uv=uv))
         lost_px = record.get("lost_px", LOST_PX)
         return TrackedSurface(sequence=textured, numbers=numbers, template=template, lost_px=lost_px)
-
-    @cached_property
-    def refined(self) -> "OpenedResult | None":
-        """The same frames, made again with the reflectance of the tracked surface; None without them."""
-        root = self.folder.root / "track"
-        if not (root / REFLECTANCE_NAME).exists() or not has_manifest(root / REFINED_NAME):
-            return None
-        return open_result(root / REFINED_NAME, footage=self.footage, background=self.background)
 
     def linear(self, number: int) -> LinearFrame:
         """Return the captured frame in linear light, background removed and undistorted."""

@@ -2,96 +2,11 @@
 
 import dataclasses
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from enum import Enum
-from typing import Any, TypeVar, get_args, get_type_hints
+from typing import Any
 
 from vntoolkit.errors import BadInput
-from vntoolkit.integration.options import IntegrationOptions
-from vntoolkit.io.footage.mosaics import Bayer, Demosaic, SensorOptions
-from vntoolkit.materials.search import MOST_MATERIALS
-from vntoolkit.meshing.surface import MeshOptions
-from vntoolkit.normals.inversion import InversionOptions
-from vntoolkit.shadows.detector import ShadowMethod
-
-_Options = TypeVar("_Options")
-
-
-class Product(Enum):
-    """How far a reconstruction goes; each includes the ones before it."""
-
-    NORMALS = "normals"
-    DEPTH = "depth"
-    MESH = "mesh"
-
-
-class OnError(Enum):
-    """What a frame that fails does to the run."""
-
-    STOP = "stop"
-    SKIP = "skip"  # the frame is left out, and named in the manifest and at the end
-
-
-class MaterialSearch(Enum):
-    """How many materials the subject has, where no number is given."""
-
-    AUTO = "auto"  # as many as are found; the rig's alone where it does not hold its lamps' colours
-    CALIBRATED = "calibrated"  # one: what the rig was calibrated on
-
-
-class DepthOffset(Enum):
-    """How the constant that normals leave free is fixed, frame by frame."""
-
-    REFERENCE = "reference"  # so that depth rests where the subject does: tied to the first frame
-    MEAN = "mean"  # mean depth 0 (perspective: 1) over every connected part
-
-
-@dataclass(frozen=True, kw_only=True)
-class ReconstructOptions:
-    """Options of `reconstruct`, beyond those of the stages.
-
-    to: how far to go; each includes what comes before it. distance_m: distance in metres from a perspective
-    camera to the subject, along the optical axis. It fixes the scale that normals alone leave free.
-    materials: how many materials the subject has: a number, or auto to find as many as there are, or
-    calibrated for the calibration material alone. The first frames tell their reflectances. A rig without the
-    colours of its lamps knows the calibration material alone. shadows: method that finds where the subject
-    shadows itself: robust, published (the paper's detector) or none. The surface in shadow is then recovered,
-    and visibility labels are written. depth_offset: how the free constant of the depth is fixed. reference
-    ties every frame to one, so that depth rests where the subject does. mean gives every connected part a
-    mean depth of 0 (perspective: 1). reference_frame: the frame that depth is tied to, and that tells noise
-    and blur of materials' seams. Default: the first of the run that makes the folder. smoothing: average a
-    pixel with the frames before and after where its colour differs by less than this share of full scale. 0
-    is off; about 3 times the noise is useful.
-    on_error: what a frame that fails does: stop the run, or skip the frame and name it at the end.
-
-    A rig fitted to presses on a gel turns materials and shadows off: it is the gel's own.
-    """
-
-    to: Product = Product.MESH
-    distance_m: float | None = None
-    materials: MaterialSearch | int = MaterialSearch.AUTO
-    shadows: ShadowMethod = ShadowMethod.ROBUST
-    depth_offset: DepthOffset = DepthOffset.REFERENCE
-    reference_frame: int | None = None
-    smoothing: float = 0.0
-    on_error: OnError = OnError.STOP
-    inversion: InversionOptions = field(default_factory=InversionOptions)
-    integration: IntegrationOptions = field(default_factory=IntegrationOptions)
-    meshing: MeshOptions = field(default_factory=MeshOptions)
-
-    def __post_init__(self) -> None:
-        if self.distance_m is not None and not self.distance_m > 0:
-            raise BadInput(f"distance: expected a positive number of metres, got {self.distance_m:g}")
-        if not isinstance(self.materials, MaterialSearch) and not 1 <= self.materials <= MOST_MATERIALS:
-            raise BadInput(
-                f"materials: expected auto, calibrated or a number from 1 to {MOST_MATERIALS}, got "
-                f"{self.materials}"
-            )
-        if not 0 <= self.smoothing <= 1:
-            raise BadInput(f"smoothing: expected a share of full scale from 0 to 1, got {self.smoothing:g}")
-        if self.reference_frame is not None and self.reference_frame < 0:
-            raise BadInput(f"reference frame: expected a frame number, got {self.reference_frame}")
-
+from vntoolkit.options.footage import Bayer, Demosaic, SensorOptions
 
 SENSOR_PREFIX = "sensor."  # of the manifest's options that say how the footage's samples are read
 
@@ -109,32 +24,6 @@ def sensor_from_values(values: Mapping[str, Any]) -> SensorOptions:
         )
     except ValueError as problem:
         raise BadInput(f"reconstruction.json: {problem}") from problem
-
-
-def options_from_values(values: Mapping[str, Any]) -> ReconstructOptions:
-    """Return the options that a manifest states, the defaults of those that it does not; raise `BadInput`."""
-    try:
-        return _dataclass_from_values(ReconstructOptions, values, "")
-    except (TypeError, ValueError) as problem:
-        raise BadInput(f"reconstruction.json: {problem}") from problem
-
-
-def _dataclass_from_values(kind: type[_Options], values: Mapping[str, Any], prefix: str) -> _Options:
-    given: dict[str, Any] = {}
-    for name, stated in get_type_hints(kind).items():
-        if isinstance(stated, type) and dataclasses.is_dataclass(stated):
-            given[name] = _dataclass_from_values(stated, values, f"{prefix}{name}.")
-        elif prefix + name in values:
-            given[name] = _value_of(stated, values[prefix + name])
-    return kind(**given)
-
-
-def _value_of(stated: Any, value: Any) -> Any:
-    """Return a JSON value as the type that is stated for it."""
-    choices = [
-        each for each in (stated, *get_args(stated)) if isinstance(each, type) and issubclass(each, Enum)
-    ]
-    return choices[0](value) if choices and isinstance(value, str) else value
 
 
 def option_values(options: Any, prefix: str = "", without: tuple[str, ...] = ()) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.io.maps_and_meshes.label_images import write_labels, write_mask, write_materials
 from vntoolkit.io.maps_and_meshes.maps import write_depth_map, write_normal_map
 from vntoolkit.io.maps_and_meshes.meshes import write_mesh
-from vntoolkit.materials.pixels import MaterialLabels
+from vntoolkit.materials.mixtures import MaterialLabels
 from vntoolkit.pipeline.contact import Contact
 from vntoolkit.shadows.lamp_directions import LampDirections
 

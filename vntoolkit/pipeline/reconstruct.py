@@ -17,16 +17,18 @@ from vntoolkit.diagnosis.inspection import Examination, examine_capture
 from vntoolkit.errors import BadCapture, BadInput, VntError
 from vntoolkit.io.atomic import remove_numbered, require_apart, sole_writer, write_text
 from vntoolkit.io.footage.captures import Capture, CaptureInfo
-from vntoolkit.io.footage.frame_range import FrameRange, Gaps
-from vntoolkit.io.footage.mattes import MatteOptions, Mattes, require_mattes
-from vntoolkit.io.footage.mosaics import SensorOptions
+from vntoolkit.io.footage.frame_range import FrameRange
+from vntoolkit.io.footage.mattes import Mattes, require_mattes
 from vntoolkit.io.footage.sequence import text_of_names
 from vntoolkit.io.results import manifest as manifests
 from vntoolkit.io.results.frame_log import FRAMES_NAME, FrameEntry, FrameLog
 from vntoolkit.io.rigs import entry_from_rig
-from vntoolkit.materials.labelling import MaterialLabeller
-from vntoolkit.materials.pixels import near_seams
+from vntoolkit.materials.labelling import LabelState, MaterialLabeller
+from vntoolkit.materials.mixtures import near_seams
 from vntoolkit.materials.relighting import relit
+from vntoolkit.options.footage import Gaps, MatteOptions, SensorOptions
+from vntoolkit.options.normals import ShadowMethod
+from vntoolkit.options.reconstruction import MaterialSearch
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import with_near_lamps
 from vntoolkit.pipeline.block_work import Block, BlockWorker, ReconstructionJob
@@ -34,17 +36,14 @@ from vntoolkit.pipeline.cluster import require_scheduler, run_blocks_on_cluster
 from vntoolkit.pipeline.found_lamps import with_found_lamps
 from vntoolkit.pipeline.frame_processor import FrameProcessor
 from vntoolkit.pipeline.measured_materials import (
-    FirstFrames,
     MeasuredMaterials,
     measured_materials,
     refitted_materials,
     seeks_materials,
 )
-from vntoolkit.pipeline.options import SENSOR_PREFIX, MaterialSearch, option_values
+from vntoolkit.pipeline.options import SENSOR_PREFIX, option_values
 from vntoolkit.pipeline.outputs import FRAME_FILES
-from vntoolkit.pipeline.painted_surface import TrackedReflectance
 from vntoolkit.pipeline.processes import shared_out
-from vntoolkit.shadows.detector import ShadowMethod
 
 logger = logging.getLogger(__name__)
 Started = Callable[[int, int], None]
@@ -130,7 +129,7 @@ def reconstruct(
         logger.warning("%s: left out, since the frames are named otherwise: %s", job.source, names)
     missing = _missing_frames(capture, mattes, numbers)
     examined = Examination(findings=[])
-    if not seeks_materials(job) and job.surface is None:
+    if not seeks_materials(job):
         examined = _require_plausible(job, capture, mattes, numbers)
     with sole_writer(root):
         job, manifest, log = _prepared(job, capture, mattes, frames, overwrite, examined)
@@ -172,18 +171,15 @@ def _prepared(
     numbers = frames.numbers(capture.info.frame_count)
     resumes = manifests.has_manifest(root) and not overwrite
     earlier = manifests.read_manifest(root) if resumes else None
-    if earlier is None and job.surface is not None:  # the materials are those of the reconstruction refined
-        earlier = manifests.read_manifest(job.surface.result)
     job = _with_lamps(job, capture, mattes, numbers, earlier)
-    first_frames = FirstFrames(capture, mattes, numbers)
-    job, measured = resolve_options(job, capture, mattes, numbers, earlier, first_frames)
-    if seeks_materials(job) and job.surface is None:
-        labeller = None if measured.seen is None else measured.seen.labeller
-        examined = _require_plausible(job, capture, mattes, numbers, labeller)
+    job, measured = resolve_options(job, capture, mattes, numbers, earlier)
+    if seeks_materials(job):
+        state = LabelState() if measured.seen is None else measured.seen.state
+        examined = _require_plausible(job, capture, mattes, numbers, state)
     job = _with_blur(_with_near_lamps(job, examined, earlier), examined, earlier)
     materials = measured.entries
     if earlier is None and measured.seen is not None and job.rig.response.variation is not None:
-        materials = refitted_materials(job, first_frames, measured.seen)
+        materials = refitted_materials(job, capture, mattes, numbers, measured.seen)
         job = _of_materials(job, materials)
     manifest = manifest_of_run(job, capture, mattes, frames, materials, examined.findings)
     if resumes:
@@ -269,16 +265,16 @@ def _run(
 
 def _require_plausible(
     job: ReconstructionJob, capture: Capture, mattes: Mattes, numbers: range,
-    labeller: MaterialLabeller | None = None,
+    state: LabelState | None = None,
 ) -> Examination:  # fmt: skip
     """Log and return what the footage tells of mistakes; raise `FatalFinding` for one that ruins normals.
 
-    labeller: of the job's materials as they were measured; None where an earlier run measured them.
+    state: what the first frame told of its materials; None where an earlier run measured them.
     """
     rig = job.rig if job.calibrated is None else replace(job.rig, transfer=job.calibrated)
     try:
         mask, numbers = mattes.judged(capture, numbers)
-        examined = examine_capture(capture, rig, mask, numbers, _in_one_material(job, mask, labeller))
+        examined = examine_capture(capture, rig, mask, numbers, _in_one_material(job, mask, state))
     except BadCapture as problem:  # a bad frame is reported when its turn comes
         logger.debug("plausibility not checked: %s", problem)
         return Examination(findings=[])
@@ -313,23 +309,20 @@ def _with_blur(
 
 
 def _in_one_material(
-    job: ReconstructionJob, mask: Mask | None, labeller: MaterialLabeller | None = None
+    job: ReconstructionJob, mask: Mask | None, state: LabelState | None = None
 ) -> Callable[[LinearFrame], LinearFrame] | None:
     """Return what makes a frame look as if its subject were of the rig's material; None where it is."""
     if not job.reflectances:
         return None
     central, known = job.rig.response.central, (np.array(job.reflectances), np.array(job.pigments))
-    labeller = (
-        MaterialLabeller(central, known[0]) if labeller is None else labeller.with_reflectances(known[0])
-    )
+    labeller = MaterialLabeller(response=central, reflectances=known[0])
+    told = LabelState(statistics=None if state is None else state.statistics)
     processor = FrameProcessor(job.rig, job.options, mask)
 
     def judged(frame: LinearFrame) -> LinearFrame:
         # A backdrop's noise looks like dark paint. It would give the subject's rim a wrong label.
         subject = processor.lit_subject(frame)
-        labeller.forget()
-        labels = labeller.labels(processor.by_strength(frame), subject)
-        labeller.keep()
+        labels, _ = labeller.labels(processor.by_strength(frame), subject, told)
         # lengths alone tell paint here: a surface without paint would fit any M; none is thought to be 1
         seen = relit(frame, central, labels, *known, mask=subject)
         return replace(seen, clipped=seen.clipped | near_seams(labels, _SEAM_PX))
@@ -380,7 +373,6 @@ def resolve_options(
     mattes: Mattes,
     numbers: range,
     earlier: manifests.Manifest | None,
-    first_frames: FirstFrames,
 ) -> tuple[ReconstructionJob, MeasuredMaterials]:
     """Return the job with the options that depend on rig and footage resolved, and the materials.
 
@@ -412,7 +404,7 @@ def resolve_options(
         albedo = albedo if isinstance(albedo, float) else None
         measured = MeasuredMaterials(entries=list(earlier.materials), relative_albedo=albedo)
     else:
-        measured = measured_materials(job, first_frames)
+        measured = measured_materials(job, capture, mattes, numbers)
     if measured.relative_albedo is not None:
         inversion = replace(options.inversion, relative_albedo=measured.relative_albedo)
         job = replace(job, options=replace(job.options, inversion=inversion))
@@ -462,20 +454,11 @@ def manifest_of_run(
         rig=entry_from_rig(job.rig),
         options=_options_that_shape(job),
         materials=materials,
-        surface=_entry_of_surface(job.surface),
         findings=[manifests.FindingEntry(check=f.check, level=f.level.value, text=f.text) for f in findings],
         frames=frames.to_text(),
         outputs=job.folders,
         versions=manifests.library_versions(),
         started=manifests.now_utc(),
-    )
-
-
-def _entry_of_surface(known: TrackedReflectance | None) -> manifests.SurfaceEntry | None:
-    if known is None:
-        return None
-    return manifests.SurfaceEntry(
-        frames=known.frames, seen=known.seen, lines=known.lines, spreads=known.spreads
     )
 
 
@@ -492,8 +475,6 @@ def _options_that_shape(job: ReconstructionJob) -> dict[str, Any]:
         values["lamps.nearness"] = job.nearness
     if job.blur_px:
         values["lens.blur_px"] = job.blur_px
-    if job.surface is not None:
-        values["surface.reflectance"] = job.surface.sha256
     return values
 
 

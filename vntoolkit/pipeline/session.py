@@ -12,17 +12,18 @@ from pathlib import Path
 from typing import Any
 
 from vntoolkit.errors import BadInput, VntError
-from vntoolkit.io.files import ReadingLimits, limited_to, require_name
+from vntoolkit.io.files import limited_to, require_name
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.results.frame_log import FrameEntry
 from vntoolkit.native import keep_freed_memory, limit_threads
+from vntoolkit.options.footage import ReadingLimits
+from vntoolkit.options.tracking import TrackingOptions
 from vntoolkit.pipeline.block_work import ReconstructionJob
 from vntoolkit.pipeline.checkerboard import write_checkerboard
 from vntoolkit.pipeline.cluster import connected
 from vntoolkit.pipeline.reconstruct import ReconstructionSummary, reconstruct
 from vntoolkit.pipeline.texture import write_texture
 from vntoolkit.pipeline.track import TrackJob, TrackSummary, track
-from vntoolkit.tracking.options import TrackingOptions
 
 Result = Callable[[], TrackSummary]  # waits for a sequence that is being tracked
 Submit = Callable[[TrackJob, ReadingLimits, bool], Result]  # the bool: overwrite

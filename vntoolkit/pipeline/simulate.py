@@ -32,6 +32,7 @@ from vntoolkit.io.maps_and_meshes.maps import read_normal_map, write_depth_map, 
 from vntoolkit.io.results.seams import write_seams
 from vntoolkit.io.results.sequences import MeshSequenceWriter, remove_mesh_sequence
 from vntoolkit.io.rigs import write_rig
+from vntoolkit.options.simulation import Nuisances, RenderOptions, SceneOptions
 from vntoolkit.photometry.frame import lit_from_labels
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import TransferCurve
@@ -40,18 +41,11 @@ from vntoolkit.pipeline.processes import shared_out
 from vntoolkit.simulation.head.rig import seam_lines_px
 from vntoolkit.simulation.image_formation import exposure_of_scene, light_colours_of, true_response
 from vntoolkit.simulation.lights import WAVELENGTHS_NM
-from vntoolkit.simulation.nuisances import Nuisances
-from vntoolkit.simulation.render import (
-    Renderer,
-    RenderOptions,
-    SimulatedFrame,
-    frame_generator,
-    require_same_topology,
-)
-from vntoolkit.simulation.scene import Scene, SceneOptions, build_scene
+from vntoolkit.simulation.render import Renderer, SimulatedFrame, frame_generator, require_same_topology
+from vntoolkit.simulation.scene import Scene, build_scene
 
 _SHEET_FRAMES, _SHEET_WIDTH = 8, 320
-_VERSION = 1
+_VERSION = 2  # of the shapes and the renderer: frames of another version are not gone on with
 _FIXED_TRUTH = ("rig.json", "lights.json", "scene.json", "seams.json", "poses.json")
 _TRUE_MAPS = {"normals": ".exr", "depth": ".exr", "mask": ".png", "visibility": ".png", "flow": ".exr"}
 _MOST_FRAMES = 10**6  # their names have six digits

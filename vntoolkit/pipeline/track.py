@@ -19,14 +19,14 @@ from vntoolkit.geometry.mesh import MeshSequence
 from vntoolkit.io.atomic import sole_writer, undisturbed
 from vntoolkit.io.footage.frame_range import sampled
 from vntoolkit.io.results.sequences import MeshSequenceWriter, read_mesh_sequence
-from vntoolkit.materials.pixels import MaterialLabels
+from vntoolkit.materials.mixtures import MaterialLabels
 from vntoolkit.materials.relighting import relit
+from vntoolkit.options.tracking import Tracker, TrackingOptions
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.pipeline import tracked_folder
 from vntoolkit.pipeline.opened_result import open_result
 from vntoolkit.pipeline.options import option_values
-from vntoolkit.tracking.options import Tracker, TrackingOptions
 from vntoolkit.tracking.paint import FRAMES_COMPARED, Paint, fixed_pattern, paint_image, paint_of_frame
 from vntoolkit.tracking.slopes import relief_slopes, slopes_from_normals
 from vntoolkit.tracking.tracker import SurfaceTracker, tracked_frame

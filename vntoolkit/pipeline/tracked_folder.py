@@ -28,8 +28,6 @@ from vntoolkit.tracking.remembered import Remembered
 
 _RECORD = "track.json"
 _MEMORY_NAME = "remembered.npz"  # of the last frame, for a run that goes on
-REFLECTANCE_NAME = "reflectance.npy"  # of every vertex, what `track --refine-albedo` found
-REFINED_NAME = "refined"  # the folder with what it reconstructed again
 _VERSION = 1
 _IN_WORDS = {"result_sha256": "normals and depth", "frame_rate_hz": "frame rate"}
 
@@ -168,7 +166,7 @@ def clear_track(folder: Path) -> None:
     made = ("albedo.png", "normal.png", "texture.json")
     for name in (
         _RECORD,
-        REFLECTANCE_NAME,
+        "reflectance.npy",  # of an earlier version
         _MEMORY_NAME,
         "checkerboard.mkv",
         "checkerboard.png",

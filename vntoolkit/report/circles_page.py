@@ -7,9 +7,10 @@ import numpy as np
 
 from vntoolkit.arrays import ByteArray, LinearImage
 from vntoolkit.calibration.presses import Press
+from vntoolkit.options.pages import ViewerOptions
 from vntoolkit.photometry.transfer import Transfer, TransferCurve, encoded_from_linear
 from vntoolkit.pipeline.press_circles import PressCircles
-from vntoolkit.report.local_server import LocalServer, ViewerOptions
+from vntoolkit.report.local_server import LocalServer
 from vntoolkit.report.scene import Packet, page_from_template
 
 _BRIGHTEST = 99.5  # percentile of a change that is drawn as the most

@@ -26,6 +26,7 @@ from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
 from vntoolkit.errors import BadInput, CannotWrite, VntError
+from vntoolkit.options.pages import ViewerOptions
 from vntoolkit.report.scene import scene_text
 
 _PORTS_TRIED = 100
@@ -35,22 +36,6 @@ _TOKEN_BYTES = 16
 
 Answer = Callable[[Mapping[str, str]], bytes | None]
 Post = Callable[[Mapping[str, str]], None]
-
-
-@dataclass(frozen=True, kw_only=True)
-class ViewerOptions:
-    """Where the page is served.
-
-    host: address to listen on; 127.0.0.1 is seen by this machine only, 0.0.0.0 by the whole network. port:
-    port of the page; the next free one is taken where it is in use.
-    """
-
-    host: str = "127.0.0.1"
-    port: int = 8080
-
-    def __post_init__(self) -> None:
-        if not 0 < self.port < 65536:
-            raise BadInput(f"port: expected 1 to 65535, got {self.port}")
 
 
 class LocalServer:

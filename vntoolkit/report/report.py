@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +10,7 @@ import numpy as np
 
 from vntoolkit.arrays import FloatArray
 from vntoolkit.diagnosis.inspection import findings_from_header
-from vntoolkit.errors import BadInput, VntError
+from vntoolkit.errors import VntError
 from vntoolkit.geometry.camera import Camera, CameraModel
 from vntoolkit.io.footage.frame_range import sampled
 from vntoolkit.io.footage.images import read_image, resized_image
@@ -19,6 +18,7 @@ from vntoolkit.io.maps_and_meshes.label_images import LABEL_LEGEND
 from vntoolkit.io.maps_and_meshes.ply import read_ply_counts
 from vntoolkit.io.results.frame_log import FrameEntry
 from vntoolkit.io.results.manifest import InputEntry
+from vntoolkit.options.pages import ReportOptions
 from vntoolkit.pipeline.opened_result import OpenedResult, TrackedSurface, open_result
 from vntoolkit.report import page, pictures
 
@@ -26,23 +26,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _POINTS = 300  # more frames than this are drawn as a line without points
-
-
-@dataclass(frozen=True, kw_only=True)
-class ReportOptions:
-    """What the report shows.
-
-    samples: frames shown as pictures, evenly spread. picture_height: most pixels that each of them is high.
-    footage: where the footage is now, if not where it was when it was reconstructed.
-    """
-
-    samples: int = 4
-    picture_height: int = 300
-    footage: str = ""
-
-    def __post_init__(self) -> None:
-        if self.samples < 1 or self.picture_height < 1:
-            raise BadInput("report: expected at least one sample frame and one pixel")
 
 
 def write_report(
@@ -318,7 +301,6 @@ def track_section(result: OpenedResult, track: TrackedSurface) -> page.PageSecti
         pixels = resized_image(np.asarray(read_image(sheet), dtype=np.uint8), _SHEET_PX)
         caption = "A checkerboard painted on the template and carried along: it should look printed on."
         figures.append(page.figure_from_pixels(pixels, caption, wide=True))
-    figures += _before_and_after(result, track.template)
     return page.PageSection(
         title="Registered surface",
         numbers=(
@@ -330,25 +312,6 @@ def track_section(result: OpenedResult, track: TrackedSurface) -> page.PageSecti
         ),
         figures=tuple(figures),
     )
-
-
-def _before_and_after(result: OpenedResult, number: int) -> list[page.PageFigure]:
-    """Return a frame's normals without and with the reflectance of the tracked surface, where these are."""
-    again = result.refined
-    if again is None or number not in again.numbers or number not in result.numbers:
-        return []
-    before = result.normals(number)
-    parts = {"normals before": before, "with the surface's reflectance": again.normals(number)}
-    both = pictures.cropped(
-        [pictures.picture_of_normals(each, pictures.GROUND) for each in parts.values()], before.mask
-    )
-    caption = (
-        "Normals of the template's frame: paint that is told over all frames, such as freckles and lips, is "
-        "no relief with it."
-    )
-    return [
-        page.figure_from_pixels(pictures.tiled([dict(zip(parts, both, strict=True))]), caption, wide=True)
-    ]
 
 
 def size_and_rate(source: InputEntry) -> str:

@@ -18,11 +18,12 @@ from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.io.atomic import write_text
 from vntoolkit.io.footage.frame_range import sampled
 from vntoolkit.io.footage.images import encoded_image, resized_image
-from vntoolkit.meshing.surface import MeshOptions
 from vntoolkit.native import import_open3d
+from vntoolkit.options.depth import MeshOptions
+from vntoolkit.options.pages import ScenePageOptions, ViewerOptions
 from vntoolkit.pipeline.opened_result import OpenedResult, TrackedSurface
 from vntoolkit.report import scene
-from vntoolkit.report.local_server import LocalServer, ViewerOptions
+from vntoolkit.report.local_server import LocalServer
 from vntoolkit.report.pictures import pictures_of_frame
 
 _WEBP_QUALITY = 88
@@ -31,24 +32,6 @@ _ZLIB_LEVEL = 6
 _WIRE_VERTICES = 3000  # a wire a pixel would look solid
 _BOXED_FRAMES = 8  # that the served page is framed by: reading all would keep one waiting
 _GROUND = 20
-
-
-@dataclass(frozen=True, kw_only=True)
-class ScenePageOptions:
-    """How much of a reconstruction goes into an offline page.
-
-    vertices: most vertices of a frame's mesh on the page of --html; finer ones are thinned. picture_px:
-    longest side of that page's pictures, pixels. most_frames: most frames on that page, evenly spread over
-    those there are; 12,000 vertices and four pictures of 640 pixels take about 0.3 MB a frame.
-    """
-
-    vertices: int = 12_000
-    picture_px: int = 640
-    most_frames: int = 150
-
-    def __post_init__(self) -> None:
-        if self.vertices < 4 or self.picture_px < 1 or self.most_frames < 1:
-            raise BadInput("scene: expected at least 4 vertices, one pixel and one frame")
 
 
 def write_scene(

@@ -19,8 +19,9 @@ from vntoolkit.arrays import Array, ByteArray, FloatArray, IntArray, Points, UIn
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, NormalMap
 from vntoolkit.geometry.mesh import Mesh
-from vntoolkit.io.conventions import NormalConvention, graphics_from_camera
-from vntoolkit.meshing.surface import MeshOptions
+from vntoolkit.io.conventions import graphics_from_camera
+from vntoolkit.options.depth import MeshOptions
+from vntoolkit.options.export import NormalConvention
 
 _NONE = 65535  # depth step of a pixel without depth
 _STEPS = 65535

@@ -8,14 +8,13 @@ flood fill that spreads to neighbours of equal or lower intensity.
 The robust one is `labels_by_prediction`.
 """
 
-from enum import Enum
-
 import cv2
 import numpy as np
 
 from vntoolkit.arrays import BoolArray, Float32Array, FloatArray, Int64Array, Mask, VisibilityLabels
 from vntoolkit.checks import checks_kinds, require_mask
 from vntoolkit.native import njit
+from vntoolkit.options.normals import ShadowMethod
 from vntoolkit.photometry.frame import ALL_LIT, LinearFrame, labels_from_lit
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.shadows.contributions import (
@@ -35,14 +34,6 @@ _REACH_PX = 2  # how far to look to either side of an edge, as published
 _SMALLEST_COMPONENT = 20  # edge components with fewer pixels are rejected
 _DIRECTION_TOLERANCE = 1  # neighbouring edge pixels agree within so many eighths of a turn
 _BLUR_PX = 1.0  # standard deviation of the Gaussian before the Laplacian
-
-
-class ShadowMethod(Enum):
-    """How self-shadows are found."""
-
-    NONE = "none"  # every pixel counts as lit by all three lights
-    PUBLISHED = "published"  # edges and flood fill, brostow2011
-    ROBUST = "robust"  # comparison with predicted normals, graph cut
 
 
 class ShadowDetector:

@@ -6,9 +6,9 @@ import numpy as np
 
 from vntoolkit.arrays import FloatArray, Matrix3, Vector3
 from vntoolkit.errors import BadInput
+from vntoolkit.options.simulation import Nuisances
 from vntoolkit.photometry.response import LightResponse, ResponseVariation, powers_to_degree
 from vntoolkit.simulation.lights import colour_from_spectrum
-from vntoolkit.simulation.nuisances import Nuisances
 from vntoolkit.simulation.scene import Scene
 
 _GRID = 15  # samples across and down the image

@@ -6,7 +6,6 @@ its long tails (jiang2013); pigments that change slowly with wavelength. None is
 """
 
 from dataclasses import dataclass, replace
-from enum import Enum
 
 import numpy as np
 
@@ -14,6 +13,7 @@ from vntoolkit.arrays import FloatArray, Points, read_only
 from vntoolkit.checks import require_finite, require_shape
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
+from vntoolkit.options.simulation import Lighting
 
 WAVELENGTHS_NM = np.arange(380.0, 731.0, 5.0)
 _STEP_NM = 5.0
@@ -92,18 +92,6 @@ def _tungsten() -> FloatArray:
 
 
 MOST_LIGHTS = 3  # a visibility label has one bit for each of three lights
-
-
-class Lighting(Enum):
-    """Which lamps are on: the coloured ones, all or one alone, or a white lamp at one of the three places."""
-
-    COLOURED = "coloured"
-    RED = "red"
-    GREEN = "green"
-    BLUE = "blue"
-    WHITE_1 = "white-1"
-    WHITE_2 = "white-2"
-    WHITE_3 = "white-3"
 
 
 _ALONE = (Lighting.RED, Lighting.GREEN, Lighting.BLUE)

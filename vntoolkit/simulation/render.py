@@ -21,8 +21,9 @@ from vntoolkit.errors import BadInput, BadMesh
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
 from vntoolkit.geometry.mesh import vertex_normals
 from vntoolkit.geometry.rays import Hits, RayScene, pixel_rays
+from vntoolkit.options.simulation import Nuisances, RenderOptions
 from vntoolkit.photometry.frame import LinearFrame, labels_from_lit
-from vntoolkit.simulation.nuisances import Nuisances, expose
+from vntoolkit.simulation.nuisances import expose
 from vntoolkit.simulation.scene import Scene
 from vntoolkit.simulation.shading import Shader
 
@@ -33,21 +34,6 @@ _PATTERNS: dict[int, tuple[tuple[float, float], ...]] = {
     5: ((0.0, 0.0), (-0.15, -0.4), (0.4, -0.15), (0.15, 0.4), (-0.4, 0.15)),
     9: ((0.0, 0.0), *((x / 3, y / 3) for y in (-1, 0, 1) for x in (-1, 0, 1) if (x, y) != (0, 0))),
 }
-
-
-@dataclass(frozen=True, kw_only=True)
-class RenderOptions:
-    """How a frame is rendered.
-
-    samples: rays per pixel: 1, 5 or 9. threads: for ray casting, 0 = all cores.
-    """
-
-    samples: int = 5
-    threads: int = 0
-
-    def __post_init__(self) -> None:
-        if self.samples not in _PATTERNS:
-            raise BadInput(f"samples: expected 1, 5 or 9 per pixel, got {self.samples}")
 
 
 @dataclass(eq=False)

@@ -35,6 +35,7 @@ from vntoolkit.checks import require_finite, require_shape
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.rigid import RigidTransform
+from vntoolkit.options.simulation import SceneOptions
 from vntoolkit.simulation import lights as studio
 
 # name -> "module:function" of type SceneFactory; imported only when the scene is asked for
@@ -49,38 +50,11 @@ SCENES: dict[str, str] = {
     "sweater_stripes": "vntoolkit.simulation.garment.sweater:build_striped_sweater",
     "sweater_logo": "vntoolkit.simulation.garment.sweater:build_sweater_with_logo",
     "sweater_tartan": "vntoolkit.simulation.garment.sweater:build_tartan_sweater",
-    "spandex": "vntoolkit.simulation.body.spandex:build_spandex",
+    "spandex": "vntoolkit.simulation.spandex:build_spandex",
     "head_turn": "vntoolkit.simulation.head.scenes:build_head_turn",
     "face": "vntoolkit.simulation.head.scenes:build_face",
     "face_makeup": "vntoolkit.simulation.head.scenes:build_face_makeup",
 }
-
-
-@dataclass(frozen=True, kw_only=True)
-class SceneOptions:
-    """Options of every scene.
-
-    width, height: image size in pixels. seed: seed of the scene's own randomness (motion, texture). lighting:
-    the coloured lamps together, or a white lamp in one of the three places. field_width_m: width of the field
-    of view at the subject, metres. Default: the scene's own. The board is printed in proportion, so that one
-    zoom films the board and another scene. sample: scene whose material lies in the board's hole. Default: a
-    grey cloth or paper.
-    """
-
-    width: int = 640
-    height: int = 480
-    seed: int = 0
-    lighting: studio.Lighting = studio.Lighting.COLOURED
-    field_width_m: float | None = None
-    sample: str | None = None
-
-    def __post_init__(self) -> None:
-        if self.width < 16 or self.height < 16:
-            raise BadInput(f"simulate: expected an image of at least 16×16, got {self.width}×{self.height}")
-        if self.field_width_m is not None and not 0.01 <= self.field_width_m <= 5.0:
-            raise BadInput(f"simulate: expected a field of 0.01 to 5 m across, got {self.field_width_m:g} m")
-        if self.sample is not None and self.sample not in SCENES:
-            raise BadInput(f"simulate: no scene '{self.sample}' to take a sample from")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -193,6 +167,8 @@ def build_scene(name: str, options: SceneOptions) -> Scene:
     """Build the scene of that name. Raises `BadInput` for an unknown one."""
     if name not in SCENES:
         raise BadInput(f"unknown scene '{name}': expected one of {', '.join(sorted(SCENES))}")
+    if options.sample is not None and options.sample not in SCENES:
+        raise BadInput(f"simulate: no scene '{options.sample}' to take a sample from")
     module, function = SCENES[name].split(":")
     scene: Scene = getattr(importlib.import_module(module), function)(options)
     lights = scene.lights.under(options.lighting)

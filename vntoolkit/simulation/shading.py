@@ -7,9 +7,9 @@ import numpy as np
 from vntoolkit.arrays import Array, BoolArray, FloatArray, Points
 from vntoolkit.geometry.rays import Hits, RayScene
 from vntoolkit.native import njit
+from vntoolkit.options.simulation import Nuisances
 from vntoolkit.simulation.image_formation import exposure_of_scene
 from vntoolkit.simulation.lights import MOST_LIGHTS
-from vntoolkit.simulation.nuisances import Nuisances
 from vntoolkit.simulation.scene import Detail, Scene
 
 _FAR_M = 100.0  # a parallel light's shadow rays end here

@@ -8,7 +8,6 @@ moves the sleeve.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import Enum
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -17,6 +16,7 @@ from vntoolkit.arrays import Faces, FloatArray, IntArray, Mask, Points, Vector3
 from vntoolkit.geometry.mesh import edges_from_faces
 from vntoolkit.geometry.motion import Skeleton
 from vntoolkit.geometry.rigid import RigidTransform
+from vntoolkit.options.dressing import Anchor
 from vntoolkit.skinning.anatomy import Anatomy, Arm, thigh_of
 from vntoolkit.skinning.blending import blended_vertices
 from vntoolkit.skinning.sleeves import Sleeve
@@ -176,19 +176,6 @@ def rotation_between(start: Vector3, end: Vector3) -> FloatArray:
 
 
 # The captured motion, taken out bone by bone.
-
-
-class Anchor(Enum):
-    """What of the captured motion is taken out.
-
-    BONES: the rigid motion of the cloth over the trunk, each upper arm and each forearm; folds keep moving.
-    TRUNK: that over the trunk only; captured sleeves swing on top of the figure's. NONE: nothing, the
-    performer's steps stay.
-    """
-
-    BONES = "bones"
-    TRUNK = "trunk"
-    NONE = "none"
 
 
 _MAX_POINTS = 5000  # a rigid motion needs no more, and the fit then takes no time

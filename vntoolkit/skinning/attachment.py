@@ -13,7 +13,7 @@ from scipy.sparse.linalg import splu
 from vntoolkit.arrays import Faces, FloatArray, IntArray, Mask, Points, Vector3
 from vntoolkit.geometry.mesh import Mesh, edge_cotangents, face_normals, graph_laplacian, vertex_normals
 from vntoolkit.geometry.motion import Skeleton
-from vntoolkit.native import njit
+from vntoolkit.options.dressing import Falloff, WeightOptions
 from vntoolkit.skinning import weights as skin_weights
 from vntoolkit.skinning.blending import skinned_vertices
 from vntoolkit.skinning.stretch import edge_lengths, greatest_growth
@@ -62,7 +62,7 @@ def weights_of_garment(
     garment: Mesh,
     skeleton: Skeleton,
     pose: FloatArray,
-    options: skin_weights.WeightOptions,
+    options: WeightOptions,
     cover: GarmentCover | None = None,
     stiffness: FloatArray | None = None,
     known: KnownParts | None = None,
@@ -72,7 +72,7 @@ def weights_of_garment(
     stiffness: (n,) where it is greater, the share of an arm changes more slowly along the cloth. known: parts
     solved before, of which those that have not changed are taken.
     """
-    if options.falloff is not skin_weights.Falloff.HEAT:
+    if options.falloff is not Falloff.HEAT:
         return skin_weights.weights_from_distances(garment.vertices, skeleton, pose, options)
     if cover is None or not cover.sleeves:
         bare = () if cover is None else cover.bare
@@ -84,7 +84,7 @@ def weights_without_web(
     garment: Mesh,
     skeleton: Skeleton,
     pose: FloatArray,
-    options: skin_weights.WeightOptions,
+    options: WeightOptions,
     *,
     poses: FloatArray,
     max_stretch: float,
@@ -101,7 +101,7 @@ def weights_without_web(
     known: KnownParts = {}
     weights = weights_of_garment(garment, skeleton, pose, options, cover, known=known)
     faces = garment.faces
-    if options.falloff is not skin_weights.Falloff.HEAT or not max_stretch:
+    if options.falloff is not Falloff.HEAT or not max_stretch:
         return weights, faces
     growth, longest = np.ones(len(faces)), edge_lengths(garment.vertices, faces)
     for now in poses:
@@ -122,15 +122,14 @@ def weights_from_heat(
     garment: Mesh,
     skeleton: Skeleton,
     pose: FloatArray,
-    options: skin_weights.WeightOptions,
+    options: WeightOptions,
     bare: Collection[int] = (),
 ) -> skin_weights.SkinWeights:
     """Weigh the garment's vertices by bone heat: −Δw + H w = H p, baran2007.
 
     garment: on the skeleton in the pose (j, 4, 4). p is 1 where a vertex covers the bone, H is 2 / d² of
     its distance. The bone is the one on the inner side of the cloth, which a sheet seen from the front has
-    too; a test of visibility would need a closed garment. Few bones are kept as in `Falloff.CONTINUOUS`.
-    bare: joints that it does not cover.
+    too; a test of visibility would need a closed garment. bare: joints that it does not cover.
     """
     among = [joint for joint in range(len(skeleton.names)) if joint not in bare]
     joints, distances, hold = _own_bones(garment, skeleton, pose, options, among)
@@ -142,7 +141,7 @@ def weights_with_sleeves(
     garment: Mesh,
     skeleton: Skeleton,
     pose: FloatArray,
-    options: skin_weights.WeightOptions,
+    options: WeightOptions,
     cover: GarmentCover,
     stiffness: FloatArray | None = None,
     known: KnownParts | None = None,
@@ -298,7 +297,7 @@ def _own_bones(
     garment: Mesh,
     skeleton: Skeleton,
     pose: FloatArray,
-    options: skin_weights.WeightOptions,
+    options: WeightOptions,
     among: Collection[int] | None = None,
 ) -> tuple[IntArray, FloatArray, FloatArray]:
     """Return for every vertex its joint, the distance to it, and how sure that is, (n,) each."""
@@ -318,7 +317,7 @@ def _least_distance(skeleton: Skeleton, starts: Points) -> float:
 
 
 def _heaviest(joints: IntArray, weights: FloatArray, count: int) -> skin_weights.SkinWeights:
-    """Keep the `count` heaviest bones, less the weight of the next, so that none drops out with a jump."""
+    """Keep the `count` heaviest bones less the weight of the next, so that none drops out (franke1980)."""
     order = np.argsort(-weights, axis=1, kind="stable")[:, : count + 1]
     kept: Points = np.take_along_axis(weights, order, axis=1)
     if order.shape[1] > count:
@@ -341,59 +340,40 @@ def covered_bones(
     touches the cloth at the vertex from within, so |p − v|² / (2 n·(v − p)) is its radius when it reaches
     a point p: a flank covers the spine, although an arm that hangs beside it is nearer.
     """
-    return _first_met(
-        np.ascontiguousarray(vertices, dtype=np.float64),
-        np.ascontiguousarray(normals, dtype=np.float64),
-        joints,
-        np.ascontiguousarray(starts),
-        np.ascontiguousarray(ends),
-    )
-
-
-@njit(cache=True)
-def _first_met(vertices, normals, joints, starts, ends):  # type: ignore[no-untyped-def]
-    covered = np.full(len(vertices), -1, np.int32)
-    distances = np.full(len(vertices), np.inf)
-    for v in range(len(vertices)):
-        least = np.inf
-        for b in range(len(joints)):
-            radius, along = _ball_radius(vertices[v], normals[v], starts[b], ends[b])
-            if radius < _CLOSER * least:
-                least = radius
-                covered[v] = joints[b]
-                squared = 0.0
-                for axis in range(3):
-                    foot = starts[b, axis] + along * (ends[b, axis] - starts[b, axis])
-                    squared += (foot - vertices[v, axis]) ** 2
-                distances[v] = np.sqrt(squared)
+    covered, distances = np.full(len(vertices), -1, np.int32), np.full(len(vertices), np.inf)
+    least = np.full(len(vertices), np.inf)
+    for joint, start, end in zip(joints, starts, ends, strict=True):
+        radius, along = _ball_radius(vertices, normals, start, end)
+        met = radius < _CLOSER * least
+        least[met], covered[met] = radius[met], joint
+        feet = start + along[met, None] * (end - start)
+        distances[met] = np.linalg.norm(feet - vertices[met], axis=1)
     return covered, distances
 
 
-@njit(cache=True)
-def _ball_radius(vertex, normal, start, end):  # type: ignore[no-untyped-def]
-    """Minimise (A t² + 2 B t + C) / (2 (D + E t)) over 0 ≤ t ≤ 1; convex where D + E t > 0."""
-    a = b = c = d = e = 0.0
-    for axis in range(3):
-        bone, away = end[axis] - start[axis], start[axis] - vertex[axis]
-        a += bone * bone
-        b += bone * away
-        c += away * away
-        d -= normal[axis] * away
-        e -= normal[axis] * bone
+def _ball_radius(
+    vertices: Points, normals: Points, start: Vector3, end: Vector3
+) -> tuple[FloatArray, FloatArray]:
+    """Minimise (A t² + 2 B t + C) / (2 (D + E t)) over 0 ≤ t ≤ 1; convex where D + E t > 0; (n,) each."""
+    bone, away = end - start, start - vertices
+    a, b, c = bone @ bone, away @ bone, np.sum(away * away, axis=1)
+    d, e = -np.sum(normals * away, axis=1), -(normals @ bone)
     # The derivative vanishes where A E t² + 2 A D t + 2 B D − E C = 0, or B / A behind it where E = 0.
-    level = abs(e) < 1e-12 * np.sqrt(a)
-    root = np.sqrt(max(a * a * d * d - a * e * (2 * b * d - e * c), 0.0))
-    flat = -b / a
-    least, place = np.inf, 0.0
+    level = np.abs(e) < 1e-12 * np.sqrt(a)
+    root = np.sqrt(np.maximum(a * a * d * d - a * e * (2 * b * d - e * c), 0.0))
+    twice = np.where(level, 1.0, a * e)
+    least, place = np.full(len(vertices), np.inf), np.zeros(len(vertices))
     for t in (
-        0.0,
-        1.0,
-        flat if level else (root - a * d) / (a * e),
-        flat if level else -(root + a * d) / (a * e),
+        np.zeros(len(vertices)),
+        np.ones(len(vertices)),
+        np.where(level, -b / a, (root - a * d) / twice),
+        np.where(level, -b / a, -(root + a * d) / twice),
     ):
         depth = d + e * t
-        if 0.0 <= t <= 1.0 and depth > 0.0:
-            radius = (a * t * t + 2 * b * t + c) / (2 * depth)
-            if radius < least:
-                least, place = radius, t
+        radius = np.where(
+            (t >= 0) & (t <= 1) & (depth > 0),
+            (a * t * t + 2 * b * t + c) / np.where(depth > 0, 2 * depth, 1),
+            np.inf,
+        )
+        place, least = np.where(radius < least, t, place), np.minimum(radius, least)
     return least, place

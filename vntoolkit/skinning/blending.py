@@ -3,8 +3,6 @@
 Dual quaternion skinning does not collapse at twisted joints.
 """
 
-from enum import Enum
-
 import numba
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -13,14 +11,8 @@ from vntoolkit.arrays import FloatArray, Points
 from vntoolkit.checks import require_shape
 from vntoolkit.geometry.rigid import RigidTransform
 from vntoolkit.native import njit
+from vntoolkit.options.dressing import Blend
 from vntoolkit.skinning.weights import SkinWeights
-
-
-class Blend(Enum):
-    """How a vertex mixes the motions of its bones: LINEAR as published, DUAL_QUATERNION rigidly."""
-
-    LINEAR = "linear"
-    DUAL_QUATERNION = "dual-quaternion"
 
 
 def skinned_vertices(

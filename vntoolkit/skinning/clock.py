@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from enum import Enum
 
 import numpy as np
 
@@ -10,45 +9,10 @@ from vntoolkit.arrays import FloatArray, IntArray, Points
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.mesh import MeshSequence
 from vntoolkit.geometry.motion import Motion
+from vntoolkit.options.dressing import ClockOptions, Loop
 
 _SLERP_LINEAR_BELOW = 1e-6  # radians: there slerp and linear interpolation agree to the last digit
 _ON_A_FRAME = 1e-6  # frames: as near as this is on it, for seconds times a rate do not come out even
-
-
-class Loop(Enum):
-    """What the cloth does after its last frame.
-
-    NONE ends there; REPEAT starts again; PING_PONG plays back and forth, so that nothing jumps.
-    """
-
-    NONE = "none"
-    REPEAT = "repeat"
-    PING_PONG = "ping-pong"
-
-
-@dataclass(frozen=True, kw_only=True)
-class ClockOptions:
-    """Start, end and rate of the result.
-
-    start: second of the motion at which the result begins. stop: second of the motion at which it ends.
-    Default: the motion's end. speed: seconds of motion per second of result. loop: what a cloth shorter than
-    the motion does. frame_rate_hz: frames per second of the result. Default: the cloth's. Blender plays a
-    file at its scene's rate, 24 unless you set it to the file's.
-    """
-
-    start: float = 0.0
-    stop: float | None = None
-    speed: float = 1.0
-    loop: Loop = Loop.NONE
-    frame_rate_hz: float | None = None
-
-    def __post_init__(self) -> None:
-        for name, value in (("speed", self.speed), ("frame rate", self.frame_rate_hz)):
-            if value is not None and not 0 < value < np.inf:
-                raise BadInput(f"{name}: expected a positive number, got {value:g}")
-        for name, value in (("start", self.start), ("stop", self.stop)):
-            if value is not None and not 0 <= value < np.inf:
-                raise BadInput(f"{name}: expected seconds from 0 on, got {value:g}")
 
 
 @dataclass(frozen=True, kw_only=True)

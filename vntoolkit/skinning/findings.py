@@ -44,9 +44,10 @@ class DressingFindings:
             off = self.off_axis[:, arm]
             frame, place = np.unravel_index(int(off.argmax()), off.shape)
             where = ("elbow", "forearm", "wrist")[place]
-            word = "outside" if off.max() > 1 else "inside"
+            most = round(float(off.max()), 1)  # as it is printed: 1.0 is inside
+            word = "outside" if most > 1 else "inside"
             parts.append(
-                f"{_SIDES[side]} arm {word} its sleeve ({where} at most {off.max():.1f} radii off its axis, "
+                f"{_SIDES[side]} arm {word} its sleeve ({where} at most {most:.1f} radii off its axis, "
                 f"frame {frame})"
             )
         if not parts and self.has_sleeves:

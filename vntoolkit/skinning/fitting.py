@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from enum import Enum
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -13,6 +12,7 @@ from vntoolkit.geometry.garment_fit import GarmentFit, fit_similarity
 from vntoolkit.geometry.mesh import Mesh, face_normals
 from vntoolkit.geometry.motion import Motion, Skeleton, forward_kinematics
 from vntoolkit.geometry.rigid import RigidTransform, Similarity
+from vntoolkit.options.dressing import ArmPose, DepthPlacement, Garment, GarmentFitOptions
 from vntoolkit.skinning import alignment
 from vntoolkit.skinning import anatomy as anatomies
 from vntoolkit.skinning.sleeves import GarmentRegions, regions_of_garment
@@ -21,71 +21,9 @@ _WAIST_RISE = 0.1  # of the way from feet to hips: trousers reach above the join
 _COLLAR_RISE = 0.12  # of the way from hips to shoulders: a collar lies above the shoulders' joints
 
 
-class Garment(Enum):
-    """What is dressed. AUTO: trousers where the outline has two legs, else what has the sleeves it has."""
-
-    AUTO = "auto"
-    SWEATER = "sweater"
-    SHIRT = "shirt"
-    JACKET = "jacket"
-    SLEEVELESS = "sleeveless"
-    TROUSERS = "trousers"
-    SKIRT = "skirt"
-    OVERALL = "overall"
-
-    @property
-    def is_lower(self) -> bool:
-        """Whether it hangs from the waist."""
-        return self in (Garment.TROUSERS, Garment.SKIRT)
-
-    @property
-    def has_sleeves(self) -> bool:
-        """Whether it is nothing without sleeves."""
-        return self in (Garment.SWEATER, Garment.SHIRT, Garment.JACKET)
-
-
 # Height of a garment over that of what it covers: hips to neck, hips to feet, or neck to feet.
 _FULLNESS = {Garment.TROUSERS: 1.05, Garment.SKIRT: 0.65, Garment.OVERALL: 1.0}
 _UPPER_FULLNESS = 1.3
-
-
-class DepthPlacement(Enum):
-    """Where the bones lie in depth: in the CENTRE of the garment, at its REAR (it was seen from the front
-    only), or AUTO: at the rear of an open sheet, in the centre of a closed garment.
-    """
-
-    AUTO = "auto"
-    CENTRE = "centre"
-    REAR = "rear"
-
-
-class ArmPose(Enum):
-    """How the arms are held when the garment is attached: aimed at its SLEEVES, or as in the file's REST."""
-
-    SLEEVES = "sleeves"
-    REST = "rest"
-
-
-@dataclass(frozen=True, kw_only=True)
-class GarmentFitOptions:
-    """How the garment is brought onto the figure.
-
-    garment: what it is. Upper garments hang from the neck, and their sleeves on the arms; sleeveless ones
-    leave the arms alone. Trousers and skirts hang from the waist and follow the legs. auto tells trousers by
-    the outline, but not a skirt. fullness: height of the garment over the height of what it covers, hips to
-    neck or hips to feet. Default: 1.3; trousers 1.05, a skirt 0.65. depth: where the bones lie in the
-    garment's depth. arms: pose of the arms when the garment is attached. A fit file that gives a pose or
-    landmarks overrides it.
-    """
-
-    garment: Garment = Garment.AUTO
-    fullness: float | None = None
-    depth: DepthPlacement = DepthPlacement.AUTO
-    arms: ArmPose = ArmPose.SLEEVES
-
-    def __post_init__(self) -> None:
-        if self.fullness is not None and not 0 < self.fullness < np.inf:
-            raise BadInput(f"fullness: expected a positive number, got {self.fullness:g}")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -176,9 +114,9 @@ def _kind_of(regions: GarmentRegions, asked: Garment) -> Garment:
             "trousers: the garment's outline has no gap between two legs: film them apart, or "
             "take --garment skirt"
         )
-    if asked.has_sleeves and not regions.sleeves:
+    if asked is Garment.SWEATER and not regions.sleeves:
         raise BadInput(
-            f"{asked.value}: no sleeve stands out from the garment's outline: film both "
+            "sweater: no sleeve stands out from the garment's outline: film both "
             "apart from the trunk, or take --garment sleeveless"
         )
     return asked

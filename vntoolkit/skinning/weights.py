@@ -2,66 +2,17 @@
 
 from collections.abc import Collection
 from dataclasses import dataclass
-from enum import Enum
 from fnmatch import fnmatch
 
 import numpy as np
 
-from vntoolkit.arrays import FloatArray, IntArray, Points, read_only
+from vntoolkit.arrays import FloatArray, IntArray, Points, Vector3, read_only
 from vntoolkit.checks import require_shape
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.motion import Skeleton, bone_segments
-from vntoolkit.native import njit
+from vntoolkit.options.dressing import Falloff, WeightOptions
 
 _NEAREST = 1e-6  # of the skeleton's height: nearer counts as this near, so that 1/distance stays finite
-
-
-class Falloff(Enum):
-    """How the weights of a vertex are computed.
-
-    HEAT: by heat that spreads along the cloth from where each bone lies under it, baran2007: a flank does
-    not follow the arm beside it. INVERSE: by 1/distance through the air to the nearest bones, as published;
-    the cloth tears where the set of nearest bones changes, and hangs like a web under a raised arm.
-    CONTINUOUS: by 1/distance less that of the next bone farther off, franke1980, so that a bone's weight is
-    0 where it drops out and the cloth stays whole.
-    """
-
-    HEAT = "heat"
-    INVERSE = "inverse"
-    CONTINUOUS = "continuous"
-
-
-_BONES = {Falloff.HEAT: 8, Falloff.INVERSE: 4, Falloff.CONTINUOUS: 4}
-
-
-@dataclass(frozen=True, kw_only=True)
-class WeightOptions:
-    """Options of the skinning weights.
-
-    falloff: how a vertex weighs its bones: heat, by heat along the cloth; inverse, by the inverse distance as
-    published; continuous, the same without tears. neighbours: number of bones that a vertex follows. Default:
-    8 by heat, else the 4 nearest. distance_power: exponent of the distance, not for heat. 1 is the published
-    rule; with more, limbs move more independently. exclude: joints whose bones get no weight, as names or
-    patterns (`*Hand*`).
-    """
-
-    falloff: Falloff = Falloff.HEAT
-    neighbours: int | None = None
-    distance_power: float = 1.0
-    exclude: tuple[str, ...] = ()
-
-    def __post_init__(self) -> None:
-        if self.neighbours is not None and self.neighbours < 1:
-            raise BadInput(f"neighbours: expected at least 1, got {self.neighbours}")
-        if not 0 < self.distance_power < np.inf:
-            raise BadInput(f"distance power: expected a positive number, got {self.distance_power:g}")
-        if self.falloff is Falloff.HEAT and self.distance_power != 1:
-            raise BadInput("distance power: weights by heat have none; choose falloff inverse or continuous")
-
-    @property
-    def bones(self) -> int:
-        """Number of bones a vertex follows."""
-        return _BONES[self.falloff] if self.neighbours is None else self.neighbours
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -90,16 +41,10 @@ def weights_from_distances(
     if options.falloff is Falloff.HEAT:
         raise BadInput("skin weights: heat spreads along a garment's triangles: use `weights_of_garment`")
     bones = attracting_bones(skeleton, pose, options.exclude)
-    continuous = options.falloff is Falloff.CONTINUOUS
-    count = min(options.bones + continuous, len(np.unique(bones[0])))
+    count = min(options.bones, len(np.unique(bones[0])))
     floor = _NEAREST * max(skeleton.height, float(np.linalg.norm(np.ptp(bones[1], axis=0))))
     nearest, distances = nearest_joints(vertices, *bones, count=count)
-    # The nearest bone gets 1 before normalising, so no power can overflow.
-    distances = np.maximum(distances, floor)
-    raw = (distances[:, :1] / distances) ** options.distance_power
-    if continuous and count > options.bones:
-        nearest, raw = nearest[:, :-1], raw[:, :-1] - raw[:, -1:]
-        raw[raw.sum(axis=1) <= 0] = 1.0  # all equally far: they share
+    raw = 1.0 / np.maximum(distances, floor)
     return SkinWeights(joints=nearest, weights=raw / raw.sum(axis=1, keepdims=True))
 
 
@@ -132,38 +77,15 @@ def nearest_joints(
     vertices: Points, joints: IntArray, starts: Points, ends: Points, *, count: int
 ) -> tuple[IntArray, FloatArray]:
     """Return the `count` joints nearest to each vertex (n, count), nearest first, and their distances."""
-    return _nearest_joints(np.ascontiguousarray(vertices, dtype=np.float64), joints, starts, ends, count)
+    gaps = np.stack([_gaps(vertices, *bone) for bone in zip(starts, ends, strict=True)])
+    used, first = np.unique(joints, return_index=True)  # the bones of a joint are side by side
+    gaps = np.minimum.reduceat(gaps, first).T
+    order = np.argsort(gaps, axis=1, kind="stable")[:, :count]
+    return used[order].astype(np.int32), np.take_along_axis(gaps, order, axis=1)
 
 
-@njit(cache=True)
-def _nearest_joints(vertices, joints, starts, ends, count):  # type: ignore[no-untyped-def]
-    """Insert each joint's distance into a vertex's sorted list of `count`; bones of a joint are adjacent."""
-    n = len(vertices)
-    nearest = np.zeros((n, count), np.int32)
-    distances = np.full((n, count), np.inf)
-    for v in range(n):
-        b = 0
-        while b < len(joints):
-            joint, best = joints[b], np.inf
-            while b < len(joints) and joints[b] == joint:
-                along = 0.0
-                squared = 0.0
-                for axis in range(3):
-                    along += (vertices[v, axis] - starts[b, axis]) * (ends[b, axis] - starts[b, axis])
-                    squared += (ends[b, axis] - starts[b, axis]) ** 2
-                t = min(max(along / squared, 0.0), 1.0)
-                gap = 0.0
-                for axis in range(3):
-                    foot = starts[b, axis] + t * (ends[b, axis] - starts[b, axis])
-                    gap += (vertices[v, axis] - foot) ** 2
-                best = min(best, np.sqrt(gap))
-                b += 1
-            if best < distances[v, count - 1]:
-                slot = count - 1
-                while slot > 0 and distances[v, slot - 1] > best:
-                    distances[v, slot] = distances[v, slot - 1]
-                    nearest[v, slot] = nearest[v, slot - 1]
-                    slot -= 1
-                distances[v, slot] = best
-                nearest[v, slot] = joint
-    return nearest, distances
+def _gaps(vertices: Points, start: Vector3, end: Vector3) -> FloatArray:
+    """Return (n,) the distance from each vertex to a bone."""
+    bone = end - start
+    along = np.clip((vertices - start) @ bone / (bone @ bone), 0.0, 1.0)
+    return np.linalg.norm(vertices - start - along[:, None] * bone, axis=1)

@@ -2,32 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import numpy.typing as npt
 
 from vntoolkit.arrays import Faces, Points, Points2
-from vntoolkit.checks import require_in_range
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.native import njit
+from vntoolkit.options.tracking import CheckerboardOptions
 
 _LIGHT_IN_CAMERA = np.array([-0.35, -0.35, -0.87])  # towards the viewer, from above on the left
 _LONGEST_EDGE_PX = 12.0  # a triangle stretched over more spans a fold or a gap and is not drawn
-
-
-@dataclass(frozen=True, kw_only=True)
-class CheckerboardOptions:
-    """How the texture is drawn.
-
-    square_px: side of a square of the checkerboard on the template, pixels.
-    """
-
-    square_px: int = 16
-
-    def __post_init__(self) -> None:
-        require_in_range(self.square_px, 1, 10_000, "square of the checkerboard in pixels")
 
 
 def checkerboard_frame(

@@ -14,6 +14,7 @@ from vntoolkit.checks import require_same_size
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, NormalMap
 from vntoolkit.geometry.mesh import Mesh, cotangent_laplacian, graph_laplacian
+from vntoolkit.options.tracking import Tracker, TrackingOptions
 from vntoolkit.tracking.flow import (
     Relief,
     advected_positions,
@@ -22,7 +23,6 @@ from vntoolkit.tracking.flow import (
     flow_from_tracks,
     targets_on_surface,
 )
-from vntoolkit.tracking.options import Tracker, TrackingOptions
 from vntoolkit.tracking.paint import Paint
 from vntoolkit.tracking.regularisers import (
     ArapRegulariser,

@@ -13,13 +13,13 @@ from vntoolkit.geometry.camera import Camera
 from vntoolkit.io.footage.captures import CaptureOptions, open_capture
 from vntoolkit.io.footage.decoding import EncodedFrame, linear_frame_from_encoded
 from vntoolkit.io.footage.images import write_png
-from vntoolkit.io.footage.mosaics import SensorOptions
 from vntoolkit.io.light_files import read_lights
 from vntoolkit.io.results.frame_log import FrameEntry, FrameLog
 from vntoolkit.io.results.manifest import now_utc, read_manifest
 from vntoolkit.io.results.seams import read_seams
 from vntoolkit.io.rigs import read_rig, write_rig
-from vntoolkit.live.capture import CameraOptions
+from vntoolkit.options.footage import SensorOptions
+from vntoolkit.options.pages import CameraOptions
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.rig import Rig, SourceFile
 from vntoolkit.photometry.transfer import Transfer
@@ -80,6 +80,13 @@ def test_a_strip_is_inspected(tmp_path, rng, shape):
     assert [finding.text for finding in report.findings if "exchanged" in finding.text] == []
     with pytest.raises(BadInput, match="samples: expected a positive number"):
         inspect_capture(tmp_path / "a.png", samples=0)
+
+
+@pytest.mark.parametrize("shape", [(5, 7), (1, 300), (11, 11)])
+def test_a_sequence_of_small_pictures_is_inspected(tmp_path, rng, shape):
+    for number in range(4):
+        write_png(tmp_path / f"{number}.png", rng.integers(40, 240, (*shape, 3), dtype=np.uint8))
+    assert inspect_capture(tmp_path).findings
 
 
 @pytest.mark.parametrize(

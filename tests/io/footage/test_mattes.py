@@ -12,13 +12,13 @@ from vntoolkit.__main__ import main
 from vntoolkit.errors import BadCapture, BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.io.footage.captures import CaptureOptions, open_capture
-from vntoolkit.io.footage.frame_range import Gaps
 from vntoolkit.io.footage.images import write_png
-from vntoolkit.io.footage.mattes import MatteOptions, open_mattes
+from vntoolkit.io.footage.mattes import open_mattes
 from vntoolkit.io.footage.video import write_video
 from vntoolkit.io.maps_and_meshes.maps import read_normal_map
 from vntoolkit.io.rigs import read_rig, write_rig
 from vntoolkit.live.frames import LiveProcessor
+from vntoolkit.options.footage import Gaps, MatteOptions
 from vntoolkit.photometry.response import rgb_from_normals
 from vntoolkit.photometry.rig import Rig
 

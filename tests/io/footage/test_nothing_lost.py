@@ -13,10 +13,10 @@ from vntoolkit.__main__ import main
 from vntoolkit.errors import BadCapture
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.io.footage.captures import CaptureOptions, open_capture
-from vntoolkit.io.footage.frame_range import Gaps
 from vntoolkit.io.footage.images import write_png
 from vntoolkit.io.footage.sequence import find_capture_files
 from vntoolkit.io.rigs import write_rig
+from vntoolkit.options.footage import Gaps
 from vntoolkit.photometry.rig import Rig
 
 

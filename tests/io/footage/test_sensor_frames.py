@@ -15,8 +15,9 @@ from vntoolkit.errors import BadCapture
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.io.footage.captures import CaptureOptions, open_capture
 from vntoolkit.io.footage.images import write_png
-from vntoolkit.io.footage.mosaics import Bayer, Demosaic, SensorOptions, rgb_from_mosaic
+from vntoolkit.io.footage.mosaics import rgb_from_mosaic
 from vntoolkit.io.rigs import write_rig
+from vntoolkit.options.footage import Bayer, Demosaic, SensorOptions
 from vntoolkit.photometry.response import rgb_from_normals
 from vntoolkit.photometry.rig import Rig
 

@@ -72,14 +72,14 @@ def test_tags_that_are_no_utf8_keep_no_video_from_opening(tmp_path, rng):
         np.testing.assert_array_equal(values, frames[number])
 
 
-def _open_as_18(name, *, metadata_errors="strict"):
+def _open_as_18(name, *, options, metadata_errors="strict"):
     """PyAV 18 fails on such a tag unless told otherwise."""
     if metadata_errors == "strict":
         raise UnicodeDecodeError("utf-8", b"\xfc", 0, 1, "invalid start byte")
     return "opened"
 
 
-def _open_as_19(name):
+def _open_as_19(name, *, options):
     """PyAV 19 opens it as it is; the option is gone, and naming it a TypeError."""
     return "opened"
 

@@ -9,28 +9,15 @@ from scipy import ndimage
 
 from vntoolkit.arrays import FloatArray, IntArray, Mask, Points, Vector3, read_only
 from vntoolkit.checks import require_same_size
-from vntoolkit.errors import BadCalibration, BadInput
+from vntoolkit.errors import BadCalibration
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.mesh import Mesh, isosurface, vertex_normals
 from vntoolkit.geometry.rigid import RigidTransform
+from vntoolkit.options.head import HullOptions
 
 _COARSE_STEP = 4  # cells of the fine grid per cell of the first one
 _SHARE_OF_VIEWS = 3  # a point that fewer than one view in so many shows was never filmed: it is outside
 _SLICE = 200_000  # points projected at a time
-
-
-@dataclass(frozen=True, kw_only=True)
-class HullOptions:
-    """How finely the hull is carved.
-
-    hull_cells: cells along the longest side of the box.
-    """
-
-    hull_cells: int = 128
-
-    def __post_init__(self) -> None:
-        if not 16 <= self.hull_cells <= 512:
-            raise BadInput(f"hull: expected 16 to 512 cells, got {self.hull_cells}")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

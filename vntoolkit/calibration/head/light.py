@@ -10,9 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from vntoolkit.arrays import BoolArray, FloatArray, IntArray, Points, read_only
-from vntoolkit.calibration.fit import ResponseModel, fit_quality, response_from_unknowns, warn_of_weak_fit
+from vntoolkit.calibration.fit import fit_quality, response_from_unknowns, warn_of_weak_fit
 from vntoolkit.calibration.head.samples import HeadRays, HeadSamples
-from vntoolkit.errors import BadCalibration, BadInput
+from vntoolkit.errors import BadCalibration
+from vntoolkit.options.calibration import ResponseModel
+from vntoolkit.options.head import LightOptions
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.rig import FitQuality
 
@@ -25,24 +27,6 @@ _ALBEDO_ROUNDS = 12  # on noisy normals: in more, albedo takes up what noise tak
 _LEAST_COSINE = 0.08  # to a light: flatter, the shape's error decides whether it arrives
 _LEAST_SEEN = 3  # frames in which a point must be lit for an albedo of its own
 _LEAST_SUPPORT = 0.1  # of the samples
-
-
-@dataclass(frozen=True, kw_only=True)
-class LightOptions:
-    """Options of the fit of M to skin.
-
-    light_model: 3×3, or 3×4 with ambient light, for skin of one albedo only: on bare skin, variation of
-    albedo passes for ambient light. light_draws: random hypotheses of M that are tried. light_inlier: largest
-    colour error of an inlier over its colour's length.
-    """
-
-    light_model: ResponseModel = ResponseModel.LINEAR
-    light_draws: int = 1500
-    light_inlier: float = 0.12
-
-    def __post_init__(self) -> None:
-        if self.light_draws < 1 or not 0 < self.light_inlier < 1:
-            raise BadInput("light: expected at least one draw and an inlier share from 0 to 1")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -4,7 +4,6 @@ import logging
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from enum import Enum
 from pathlib import Path
 from typing import Any
 
@@ -19,10 +18,10 @@ from vntoolkit.errors import BadCalibration, BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.garment_fit import fit_similarity
 from vntoolkit.geometry.rigid import RigidTransform, Similarity
+from vntoolkit.options.head import LEAST_TRACKS, PoseOptions, PoseStart
 
 logger = logging.getLogger(__name__)
 _FULL_TURN_DEG = 90.0  # below it, M gets worse: on scanned heads 0.3 % at 130, 1.1 at 68, 1.4 to 3.7 at 43
-_LEAST_POINTS = 60
 _LEAST_PLACED = 0.7  # of the frames
 _LARGEST_ERROR_PX = 0.9  # mean, after everything beyond 1 px was dropped: then what is left is chance
 _LEAST_KEPT = 0.3  # of the tracks drawn: fewer means that no rigid motion explains them
@@ -37,31 +36,6 @@ _ERROR_PX, _PLACING_ERROR_PX = 2.0, 4.0
 Guess = tuple[list[RigidTransform | None], Points, BoolArray]
 _LEAST_SHARED_TRACKS = 15  # tracks of a pair of frames
 _LEAST_INLIERS = 8  # points that place a frame
-
-
-class PoseStart(Enum):
-    """Initialisation of the poses."""
-
-    FACTORISATION = "factorisation"  # of tracks over many close frames; a long lens helps
-    MAPPING = "mapping"  # frame by frame from pairs; frames may lie 20 degrees apart
-
-
-@dataclass(frozen=True, kw_only=True)
-class PoseOptions:
-    """Options of the poses.
-
-    pose_tracks: tracks drawn at random for the solution; more cost time and gain little. least_turn_deg:
-    smallest turn from one end to the other that carries a calibration.
-    """
-
-    pose_tracks: int = 2000
-    least_turn_deg: float = 40.0
-
-    def __post_init__(self) -> None:
-        if self.pose_tracks < _LEAST_POINTS or not 0 < self.least_turn_deg < 180:
-            raise BadInput(
-                f"poses: expected at least {_LEAST_POINTS} tracks and a least turn from 0 to 180 degrees"
-            )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -150,7 +124,7 @@ def settle_head_motion(
         refine_focal=refine_focal,
     )
     placed = np.array([pose is not None for pose in model.camera_from_head])
-    enough = len(model.point) >= max(_LEAST_POINTS, _LEAST_KEPT * len(motion.point))
+    enough = len(model.point) >= max(LEAST_TRACKS, _LEAST_KEPT * len(motion.point))
     if not enough or placed.mean() < np.mean(~motion.interpolated):
         return motion, Similarity(scale=1.0, rigid=RigidTransform())
     settled = _head_motion(model, motion.point[track])
@@ -181,7 +155,7 @@ def _seen_in_front(
 
 def _require_rigid(model: colmap.SparseModel, tracks: Tracks) -> None:
     placed = np.array([pose is not None for pose in model.camera_from_head])
-    if len(model.point) < max(_LEAST_POINTS, _LEAST_KEPT * tracks.point_count):
+    if len(model.point) < max(LEAST_TRACKS, _LEAST_KEPT * tracks.point_count):
         raise BadCalibration(
             f"poses: only {len(model.point)} of {tracks.point_count} tracks move as one rigid head; keep the "
             "expression fixed, cover neck and shoulders in black, and film more sharply"

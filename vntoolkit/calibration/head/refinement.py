@@ -21,7 +21,7 @@ from scipy.spatial import cKDTree
 
 from vntoolkit.arrays import Array, Faces, FloatArray, IntArray, Points
 from vntoolkit.calibration.head import skin as skins
-from vntoolkit.calibration.head.light import HeadLight, LightOptions, light_of_response
+from vntoolkit.calibration.head.light import HeadLight, light_of_response
 from vntoolkit.calibration.head.rims import RimTargets, rim_targets
 from vntoolkit.calibration.head.samples import HeadSamples, LightFrame
 from vntoolkit.calibration.head.shape import FusedShape
@@ -29,6 +29,7 @@ from vntoolkit.errors import SolverFailed
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.mesh import Mesh, edge_cotangents, face_normals, vertex_normals
 from vntoolkit.geometry.rays import RayScene
+from vntoolkit.options.head import LightOptions
 from vntoolkit.photometry.response import LightResponse
 
 _ROUNDS, _PASSES = 6, 2  # colours are taken anew in so many: later, vertices hardly move

@@ -7,31 +7,17 @@ import cv2
 import numpy as np
 
 from vntoolkit.arrays import BoolArray, FloatArray, IntArray, Mask, Points, Vectors, read_only
-from vntoolkit.errors import BadCalibration, BadInput
+from vntoolkit.errors import BadCalibration
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.mesh import Mesh, vertex_normals
 from vntoolkit.geometry.rays import RayScene
 from vntoolkit.geometry.rigid import RigidTransform
+from vntoolkit.options.head import SampleOptions
 from vntoolkit.photometry.frame import LinearFrame
 
 _OFF_SURFACE = 0.004  # of the diagonal: rays start so far out, beyond the mesh's own roughness
 RIM_PX = 4  # closer to the silhouette's edge, colours are not trusted
 LEAST_FACING = 0.35  # cosine to the viewer below which colour and normal no longer belong together
-
-
-@dataclass(frozen=True, kw_only=True)
-class SampleOptions:
-    """Where colours are taken.
-
-    light_frames: frames, spread over the turn. light_points: points of the skin, spread over orientations.
-    """
-
-    light_frames: int = 14
-    light_points: int = 3000
-
-    def __post_init__(self) -> None:
-        if self.light_frames < 3 or self.light_points < 100:
-            raise BadInput("light: expected at least 3 frames and 100 points")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

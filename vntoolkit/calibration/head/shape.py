@@ -2,21 +2,20 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Self
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from vntoolkit.arrays import ByteArray, Points
 from vntoolkit.calibration.head.hull import DistanceGrid, SilhouetteView, mesh_of_grid, spread_over_turn
-from vntoolkit.calibration.head.stereo import OrientedPoints, StereoOptions, stereo_points
-from vntoolkit.errors import BadCalibration, BadInput
+from vntoolkit.calibration.head.stereo import OrientedPoints, stereo_points
+from vntoolkit.errors import BadCalibration
 from vntoolkit.geometry.mesh import Mesh, vertex_normals
 from vntoolkit.geometry.point_cloud import PointCloud
 from vntoolkit.native import import_open3d
+from vntoolkit.options.head import FusionOptions, StereoOptions
 
 _LEAST_POINTS = 500
-_DEEPEST = 12  # levels of an octree
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -48,33 +47,6 @@ def fit_shape(
         maps.append(stereo_points(views, contrasts, mesh, k, stereo))
         on_progress(done, len(references))
     return fuse_points(maps, mesh, hull, fusion)
-
-
-@dataclass(frozen=True, kw_only=True)
-class FusionOptions:
-    """How depths become a mesh.
-
-    fusion_depth: levels of Poisson's octree; 7 resolves about a 100th of the head. agreement: distance, as a
-    share of the hull's diagonal, within which points of another view must confirm a point. confirmations: how
-    many other views must confirm a point for it to be kept; raise it to 2 or 3 where single wrong points
-    leave bumps, lower it to 0 where parts that few views saw are missing. hull_gap: the hull itself is
-    surface where no depth of stereo lies within this distance, as a share of the diagonal.
-    """
-
-    fusion_depth: int = 7
-    agreement: float = 0.004
-    confirmations: int = 1
-    hull_gap: float = 0.008
-
-    def __post_init__(self) -> None:
-        if not 4 <= self.fusion_depth <= _DEEPEST or self.confirmations < 0:
-            raise BadInput("fusion: expected a depth of 4 to 12 and no negative number of confirmations")
-        if min(self.agreement, self.hull_gap) <= 0:
-            raise BadInput("fusion: expected a positive agreement and hull gap")
-
-    def finely(self) -> Self:
-        """Return the options for the points of small windows: cells of half the size."""
-        return replace(self, fusion_depth=min(_DEEPEST, self.fusion_depth + 1))
 
 
 # One closed mesh from the stereo points of many views and the hull behind them (kazhdan2013).

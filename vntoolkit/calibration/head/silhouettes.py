@@ -8,7 +8,8 @@ import cv2
 import numpy as np
 
 from vntoolkit.arrays import ByteArray, FloatArray, LinearImage, Mask
-from vntoolkit.errors import BadCalibration, BadInput
+from vntoolkit.errors import BadCalibration
+from vntoolkit.options.head import SilhouetteOptions
 
 logger = logging.getLogger(__name__)
 _SIGMAS = 6.0  # of the background's noise
@@ -26,21 +27,6 @@ _UNEVEN_BACKDROP = 0.02  # of it: so much cuts off an eighth of its brightness; 
 _LIT_EDGE = 0.2  # of the image's top and upper sides that may be bright
 _UPPER = 0.6  # of the height; below, shoulders may reach the edge
 _MOST = 0.2  # share of the frames that may show a fault
-
-
-@dataclass(frozen=True, kw_only=True)
-class SilhouetteOptions:
-    """Options of the silhouettes.
-
-    threshold: mean of the channels, 0 to 1 of full scale, above which a pixel is subject, before the contour
-    is moved to the edge beside it; default: found from the image's border.
-    """
-
-    threshold: float | None = None
-
-    def __post_init__(self) -> None:
-        if self.threshold is not None and not 0 < self.threshold < 1:
-            raise BadInput(f"silhouette threshold: expected 0 to 1, got {self.threshold:g}")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -4,8 +4,7 @@ The images are of local contrast, so that the shading, which moves over the turn
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Self
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -13,65 +12,13 @@ import numpy as np
 from vntoolkit.arrays import BoolArray, ByteArray, FloatArray, Mask, Points
 from vntoolkit.calibration.head.hull import SilhouetteView, neighbours_of
 from vntoolkit.calibration.head.silhouettes import box_of_mask
-from vntoolkit.errors import BadInput
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.rays import RayScene, pixel_rays
+from vntoolkit.options.head import StereoOptions
 
-_CLOSER_ANGLES_DEG = (6.0, 12.0, 18.0)  # of the second pass: from well correlated to precise in depth
 # What wide windows and smooth depths flatten is alike in all views. Noise is not, and averages out over them.
-_CLOSER_WINDOW_PX, _LESS_SMOOTH, _MORE_VIEWS = 5, 0.5, 2
-_CLOSE = 0.012  # of the diagonal: how far the second and third pass search to both sides
 _STEP_PX = 0.6  # that a point moves in the furthest neighbour from shell to shell
 _LEAST_SLANT = 0.25  # cosine between ray and hull below which a window mixes too many depths
-
-
-@dataclass(frozen=True, kw_only=True)
-class StereoOptions:
-    """Options of the search for depth.
-
-    references: views that get a depth map, evenly over the turn. neighbour_angles_deg: turn between a
-    reference and the views it is compared with, to both sides. stereo_window_px: side of the compared window.
-    before: how far in front of the hull depth is searched, as a share of its diagonal; the head lies inside
-    the hull, so little is needed: raise it where the silhouettes cut into the head. behind: how far beneath
-    the hull depth is searched, as a share of its diagonal, 0.07 being 2 to 3 cm of a head; raise it where
-    hollows such as eye sockets come out filled, lower it where dents appear that the head does not have.
-    least_correlation: correlation of the compared windows, 0 to 1, below which a pixel gets no depth; lower
-    it to 0.5 where smooth or dark skin leaves holes, raise it to 0.7 where wrong points roughen the surface.
-    smoothing_px: standard deviation of the smoothing of the depth in a map.
-    """
-
-    references: int = 11
-    neighbour_angles_deg: tuple[float, ...] = (10.0, 16.0)
-    stereo_window_px: int = 13
-    before: float = 0.010
-    behind: float = 0.070
-    least_correlation: float = 0.6
-    smoothing_px: float = 2.0
-
-    def __post_init__(self) -> None:
-        if self.references < 1 or self.stereo_window_px < 5 or self.stereo_window_px % 2 == 0:
-            raise BadInput("stereo: expected at least one reference and an odd window of 5 px or more")
-        if not self.neighbour_angles_deg or min(self.neighbour_angles_deg) <= 0:
-            raise BadInput("stereo: expected neighbours at positive angles")
-        if min(self.before, self.behind, self.smoothing_px) <= 0:
-            raise BadInput("stereo: expected positive depths and smoothing")
-        if not 0 < self.least_correlation < 1:
-            raise BadInput("stereo: expected a correlation from 0 to 1")
-
-    def closely(self) -> Self:
-        """Return the options of the second pass, about the mesh of the first, in small windows."""
-        return replace(
-            self,
-            before=_CLOSE,
-            behind=_CLOSE,
-            neighbour_angles_deg=_CLOSER_ANGLES_DEG,
-            stereo_window_px=_CLOSER_WINDOW_PX,
-            smoothing_px=_LESS_SMOOTH * self.smoothing_px,
-        )
-
-    def finely(self) -> Self:
-        """Return the options of the third pass: as the second, from more views."""
-        return replace(self.closely(), references=_MORE_VIEWS * self.references)
 
 
 def stereo_points(

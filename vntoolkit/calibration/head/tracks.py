@@ -7,30 +7,12 @@ import cv2
 import numpy as np
 
 from vntoolkit.arrays import BoolArray, ByteArray, FloatArray, IntArray, LinearImage, Mask, Points2, read_only
-from vntoolkit.errors import BadCalibration, BadInput
+from vntoolkit.errors import BadCalibration
+from vntoolkit.options.head import TrackOptions
 
 _CORNER_QUALITY = 0.003  # the weakest corner as a share of the strongest
 _THERE_AND_BACK_PX = 0.5  # a point that is followed to the next frame and back lands within this, or is lost
 _LEAST_FRAMES = 4  # shorter tracks are dropped
-
-
-@dataclass(frozen=True, kw_only=True)
-class TrackOptions:
-    """Options of the tracks.
-
-    corners: most corners followed at a time. corner_spacing_px: least distance between corners, pixels.
-    window_px: side of the window that is compared, pixels. margin_px: least distance of a corner from the
-    silhouette's edge, pixels.
-    """
-
-    corners: int = 2000
-    corner_spacing_px: float = 7.0
-    window_px: int = 13
-    margin_px: int = 9
-
-    def __post_init__(self) -> None:
-        if self.corners < 50 or self.window_px < 5 or self.corner_spacing_px < 1 or self.margin_px < 0:
-            raise BadInput("tracks: expected at least 50 corners, a window of 5 px and no negative distance")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -13,13 +13,14 @@ from vntoolkit.display import Displayed, Facts, Picture
 from vntoolkit.errors import BadCapture, BadInput
 from vntoolkit.io.files import opened
 from vntoolkit.io.footage.decoding import EncodedFrame, linear_frame_from_encoded
-from vntoolkit.io.footage.frame_range import FrameRange, Gaps
+from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.footage.images import header_of_stream, read_image
 from vntoolkit.io.footage.luma_detail import LumaDetail
-from vntoolkit.io.footage.mosaics import SensorOptions, is_raw, read_raw
+from vntoolkit.io.footage.mosaics import is_raw, read_raw
 from vntoolkit.io.footage.pixel_formats import YuvConversion
 from vntoolkit.io.footage.sequence import CaptureFiles, CaptureKind, find_capture_files, text_of_names
 from vntoolkit.io.footage.video import VideoReader
+from vntoolkit.options.footage import Gaps, SensorOptions
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.transfer import Transfer

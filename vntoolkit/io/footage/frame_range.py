@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import Enum
 
 import numpy as np
 
@@ -55,10 +54,3 @@ def sampled(numbers: Sequence[int], most: int) -> tuple[int, ...]:
     """Return at most so many of the numbers, evenly spread, the first and the last among them."""
     places = np.linspace(0, len(numbers) - 1, min(most, len(numbers))).round().astype(int)
     return tuple(numbers[place] for place in places.tolist())
-
-
-class Gaps(Enum):
-    """What is done where numbers of an image sequence are missing."""
-
-    REFUSE = "refuse"
-    SKIP = "skip"

@@ -25,6 +25,7 @@ from vntoolkit.io.footage.orientation import UPRIGHT, Orientation
 from vntoolkit.io.maps_and_meshes import exr
 from vntoolkit.io.maps_and_meshes.exr import read_exr
 from vntoolkit.native import silenced_native_output
+from vntoolkit.options.footage import Bayer, SensorOptions
 
 SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp", ".exr", *mosaics.RAW_SUFFIXES)
 _LONGEST_HEADER = 32 << 20  # bytes; colour profiles and previews stand before the size in some files
@@ -38,7 +39,7 @@ _MOST_PAGES = 64  # that are looked at; those of a damaged file may lead round i
 _PHOTOMETRIC, _BLACK_IS_ZERO, _MOSAIC = 262, 1, 32803
 _PHOTOMETRIC_READ = (_BLACK_IS_ZERO, 2, 3, _MOSAIC)  # 2: RGB, 3: palette
 _CFA_PATTERN = 33422
-_BAYER_BY_CODES = {bytes("rgb".index(colour) for colour in bayer.value): bayer for bayer in mosaics.Bayer}
+_BAYER_BY_CODES = {bytes("rgb".index(colour) for colour in bayer.value): bayer for bayer in Bayer}
 _PHOTOMETRIC_NAMES = {
     0: "grey with white as zero", 4: "a transparency mask", 5: "CMYK", 6: "YCbCr", 8: "CIELAB", 9: "ICCLAB",
     10: "ITULAB", 32844: "LogL", 32845: "LogLuv",
@@ -53,7 +54,7 @@ def read_image(
     path: Path | str,
     *,
     max_megapixels: float | None = None,
-    sensor: mosaics.SensorOptions | None = None,
+    sensor: SensorOptions | None = None,
     error: type[BadInput] = BadCapture,
 ) -> Array:
     """Read an image as (h, w, 3) RGB, encoded values as stored: uint8, uint16 or float32 (EXR, float TIFF).
@@ -63,7 +64,7 @@ def read_image(
     `reading_limits`. sensor: how camera raw files and Bayer mosaics are read. Raises `error` with one line
     for a file that is missing, empty, damaged, too large, or holds NaN.
     """
-    sensor = sensor or mosaics.SensorOptions()
+    sensor = sensor or SensorOptions()
     if mosaics.is_raw(path):
         return mosaics.read_raw(path, sensor.demosaic, max_megapixels=max_megapixels, error=error)[0]
     colours, alpha = _decode(path, max_megapixels, error, sensor)
@@ -150,7 +151,7 @@ def _decode(
     path: Path | str,
     max_megapixels: float | None,
     error: type[BadInput],
-    sensor: mosaics.SensorOptions | None = None,
+    sensor: SensorOptions | None = None,
 ) -> tuple[Array, Array | None]:
     """Return colours (h, w, 1 or 3), RGB, and alpha (h, w) or None. sensor: for Bayer mosaics, or None."""
     with opened(path, error) as stream:
@@ -272,7 +273,7 @@ class ImageHeader:
     orientation: Orientation = UPRIGHT
     stated_transfer: str = ""
     mosaic_at: int = 0
-    bayer: mosaics.Bayer | None = None
+    bayer: Bayer | None = None
     stated_focal_px: float | None = None
 
 

@@ -9,37 +9,17 @@ import cv2
 import numpy as np
 
 from vntoolkit.arrays import LinearImage, Mask
-from vntoolkit.checks import require_in_range
 from vntoolkit.errors import BadCapture
 from vntoolkit.io.files import reading_limits
 from vntoolkit.io.footage.captures import Capture, CaptureInfo, CaptureOptions, open_capture
 from vntoolkit.io.footage.decoding import EncodedFrame, linear_frame_from_encoded
-from vntoolkit.io.footage.frame_range import Gaps
 from vntoolkit.io.footage.sequence import CaptureKind, find_capture_files, text_of_names
 from vntoolkit.io.maps_and_meshes.label_images import read_mask
+from vntoolkit.options.footage import Gaps, MatteOptions
 from vntoolkit.photometry.transfer import Transfer
 
 logger = logging.getLogger(__name__)
 _KEY_WINDOW_PX = 3  # differences are averaged over it, so that one noisy pixel is no subject
-
-
-@dataclass(frozen=True, kw_only=True)
-class MatteOptions:
-    """How a matte becomes a mask.
-
-    mask_level: brightness of the matte, as a share of its full scale, above which a pixel is the subject.
-    key: difference from the background, as a share of full scale, above which a pixel is the subject. With
-    it, the background is a clean plate, the set under the same lamps without the subject, and is not
-    subtracted.
-    """
-
-    mask_level: float = 0.5
-    key: float | None = None
-
-    def __post_init__(self) -> None:
-        require_in_range(self.mask_level, 0.0, 1.0, "mask level")
-        if self.key is not None:
-            require_in_range(self.key, 1e-6, 1.0, "key")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

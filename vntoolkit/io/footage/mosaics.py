@@ -1,16 +1,15 @@
 """Frames as the sensor recorded them: camera raw files, and Bayer mosaics that are stored as grey."""
 
 from dataclasses import dataclass
-from enum import Enum
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from vntoolkit.arrays import Array, UInt16Array
-from vntoolkit.checks import require_in_range
 from vntoolkit.errors import BadCapture, BadInput
 from vntoolkit.io.files import opened, require_pixels
+from vntoolkit.options.footage import Bayer, Demosaic
 
 # Camera raw files that LibRaw reads.
 RAW_SUFFIXES = (
@@ -21,45 +20,8 @@ _FULL = 65535
 _TURNS = {3: "turned by 180°", 5: "turned by 270°", 6: "turned by 90°"}  # LibRaw's flip
 
 
-class Bayer(Enum):
-    """The colours of the top left 2×2 pixels, row by row; GenICam's BayerRG is rggb, and so on."""
-
-    RGGB = "rggb"
-    BGGR = "bggr"
-    GRBG = "grbg"
-    GBRG = "gbrg"
-
-
 # OpenCV names a pattern by the pixels from the second row and column on.
 _OPENCV_NAMES = {Bayer.RGGB: "BG", Bayer.BGGR: "RG", Bayer.GRBG: "GB", Bayer.GBRG: "GR"}
-
-
-class Demosaic(Enum):
-    """How the two missing colours of a pixel are found."""
-
-    # Assumes nothing about how the channels go together; under lamps of three colours they do not.
-    BILINEAR = "bilinear"
-    EDGE = "edge"  # along edges: sharper where all channels share them
-    HALF = "half"  # not at all: 2×2 pixels become one
-
-
-@dataclass(frozen=True, kw_only=True)
-class SensorOptions:
-    """How a sensor's own samples are read.
-
-    bayer: colours of the top left 2×2 pixels, row by row, of frames stored as grey. Camera raw files, and
-    files that state it, need none. demosaic: how the missing colours of a Bayer mosaic are found: bilinear,
-    edge (along edges), or half (2×2 pixels become one of half the picture's size). bits: significant bits of
-    an integer sample where the file does not tell, such as 12 for 12-bit values stored in 16-bit PNG.
-    """
-
-    bayer: Bayer | None = None
-    demosaic: Demosaic = Demosaic.BILINEAR
-    bits: int | None = None
-
-    def __post_init__(self) -> None:
-        if self.bits is not None:
-            require_in_range(self.bits, 1, 16, "capture: bits")
 
 
 @dataclass(frozen=True, kw_only=True)

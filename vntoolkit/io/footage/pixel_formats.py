@@ -8,8 +8,8 @@ import numpy as np
 from vntoolkit.arrays import Array, Matrix3, UInt16Array, Vector3
 from vntoolkit.errors import BadCapture
 from vntoolkit.io.footage.luma_detail import LumaDetail
-from vntoolkit.io.footage.mosaics import Bayer
 from vntoolkit.native import njit
+from vntoolkit.options.footage import Bayer
 
 _UNSPECIFIED = 2  # AVCOL_SPC_UNSPECIFIED
 _SWS_ITU709, _SWS_ITU601 = 1, 5

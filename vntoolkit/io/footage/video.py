@@ -25,8 +25,9 @@ from vntoolkit.io.atomic import atomic_path
 from vntoolkit.io.files import require_file, require_pixels
 from vntoolkit.io.footage import pixel_formats
 from vntoolkit.io.footage.luma_detail import LumaDetail
-from vntoolkit.io.footage.mosaics import Bayer, Demosaic, SensorOptions, rgb_from_mosaic
+from vntoolkit.io.footage.mosaics import rgb_from_mosaic
 from vntoolkit.io.footage.orientation import UPRIGHT, Orientation
+from vntoolkit.options.footage import Bayer, Demosaic, SensorOptions
 
 _HD_HEIGHT = 720
 _INDICES: "dict[tuple[str, int, int], VideoIndex]" = {}  # of files by path, size and time of change, in ns

@@ -9,10 +9,10 @@ from vntoolkit.checks import require_shape
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
 from vntoolkit.io.atomic import write_large
-from vntoolkit.io.conventions import NormalConvention
 from vntoolkit.io.footage.images import read_image_with_alpha, write_png
 from vntoolkit.io.maps_and_meshes.exr import ExrCompression, read_exr, uncompressed_exr, write_exr
 from vntoolkit.native import njit
+from vntoolkit.options.export import NormalConvention
 
 Plane = Float32Array
 _ERROR_CHANNEL, _DEPTH_ERROR_CHANNEL = "error_deg", "error_percent"

@@ -11,10 +11,11 @@ from vntoolkit.errors import BadMesh, CannotWrite
 from vntoolkit.geometry.mesh import Mesh, triangles_from_polygons
 from vntoolkit.geometry.point_cloud import PointCloud
 from vntoolkit.io.atomic import write_text
-from vntoolkit.io.conventions import MeshUpAxis, graphics_from_camera
+from vntoolkit.io.conventions import graphics_from_camera
 from vntoolkit.io.files import require_mesh_file, require_vertices, text_lines
 from vntoolkit.io.footage.images import write_png
 from vntoolkit.io.maps_and_meshes.ply import PlyContent, bytes_from_colours, read_ply, write_ply
+from vntoolkit.options.export import MeshUpAxis
 
 
 @checks_kinds

@@ -22,8 +22,9 @@ from vntoolkit.geometry.mesh import Mesh, vertex_normals
 from vntoolkit.geometry.motion import Motion, joint_paths, rest_pose
 from vntoolkit.geometry.skinned_clip import SkinnedClip, ViewedFrom
 from vntoolkit.io.atomic import atomic_path
-from vntoolkit.io.conventions import MeshUpAxis, graphics_from_camera, motion_with_axes_turned
+from vntoolkit.io.conventions import graphics_from_camera, motion_with_axes_turned
 from vntoolkit.native import require_address_space
+from vntoolkit.options.export import MeshUpAxis
 
 ROOT = "/World"
 SURFACE = f"{ROOT}/Surface"

@@ -78,17 +78,6 @@ class MaterialEntry(Entry):
     )
 
 
-class SurfaceEntry(Entry):
-    """Reflectances of a tracked surface that the frames were reconstructed again with."""
-
-    frames: int = Field(ge=0, description="Frames that told the reflectances.")
-    seen: float = Field(description="Share of the surface's vertices that these show.")
-    lines: tuple[tuple[float, float, float], ...] = Field(
-        description="Of each material, the line of log reflectance along which paint varies, of length 1."
-    )
-    spreads: tuple[float, ...] = Field(description="Of each material, standard deviation along that line.")
-
-
 class FindingEntry(Entry):
     """What the run found wrong with footage or rig before its first frame."""
 
@@ -111,10 +100,6 @@ class Manifest(Entry):
     )
     materials: list[MaterialEntry] = Field(
         default_factory=list, description="Materials that were found; empty for the rig's alone."
-    )
-    surface: SurfaceEntry | None = Field(
-        default=None,
-        description="Reflectances of a tracked surface (`track --refine-albedo`); null for none.",
     )
     findings: list[FindingEntry] | None = Field(
         default=None, description="What was found wrong before the first frame; null where none was kept."
@@ -158,6 +143,8 @@ def read_manifest(folder: Path | str) -> Manifest:
         stated = content.get("version") if isinstance(content, dict) else MANIFEST_VERSION
         if stated != MANIFEST_VERSION or isinstance(stated, bool):
             raise BadInput(f"{path}: is of version {stated}, this program reads {MANIFEST_VERSION}")
+        if isinstance(content, dict):
+            content.pop("surface", None)  # of a flag that is no more; older folders hold it, mostly null
         return Manifest.model_validate(content)
     except ValidationError as problem:
         raise BadInput(f"{path}: {one_line_from_validation(problem, Manifest)}") from problem

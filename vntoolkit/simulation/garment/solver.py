@@ -9,11 +9,11 @@ import numpy as np
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from vntoolkit.arrays import Faces, FloatArray, IntArray, Points, Vectors
+from vntoolkit.arrays import Faces, FloatArray, IntArray, Points, Points2, Vectors
 from vntoolkit.geometry.mesh import edges_from_faces
 from vntoolkit.native import njit
-from vntoolkit.simulation.garment.pattern import BACK, Garment
 
+FRONT, BACK = 0, 1
 _GRAVITY = 9.81
 # the material of a heavy knit, and the numerics; tests bound the stretch and the distance to the body
 THICKNESS_M = 0.010  # least distance of two layers
@@ -25,6 +25,21 @@ _INNER_FRICTION = 0.02  # share of the velocity difference between neighbours th
 _BODY_MARGIN_M = 0.006  # least distance to the body
 _BODY_FRICTION = 0.3  # tangential hold per depth of contact
 _STEPS_PER_FRAME = 12  # small steps, one sweep over the constraints each
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Garment:
+    """A sewn garment at rest.
+
+    flat: (n, 2) position in the pattern, metres; its metric gives every rest length.
+    gather: (n,) factor on the rest lengths there, below 1 in the ribbing. panel: (n,) 0 on the front and on
+    seams, 1 on the back. faces: (m, 3), counter-clockwise from outside.
+    """
+
+    flat: Points2
+    gather: FloatArray
+    panel: IntArray
+    faces: Faces
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -13,15 +13,18 @@ from scipy.ndimage import gaussian_filter
 
 from vntoolkit.arrays import Faces, FloatArray, IntArray, Points, Points2
 from vntoolkit.native import njit
-from vntoolkit.simulation.garment.pattern import EDGE_LENGTH_M, Garment, knit_coordinates, sew_sweater
-from vntoolkit.simulation.garment.solver import THICKNESS_M, Capsules, ClothSolver
+from vntoolkit.options.simulation import SceneOptions
+from vntoolkit.simulation.garment.solver import THICKNESS_M, Capsules, ClothSolver, Garment
 from vntoolkit.simulation.lights import studio_camera, studio_centre, studio_lights
-from vntoolkit.simulation.scene import Detail, Scene, SceneOptions, SceneSurface
+from vntoolkit.simulation.scene import Detail, Scene, SceneSurface
+from vntoolkit.simulation.shapes import read_shape
 
 _FRAMES = 1000
 _FIELD_WIDTH_M = 1.42
 _MIDDLE_M = np.array([0.0, -0.36, 0.0])  # of the sweater, below the throat: what the camera looks at
 _LEVELS = 2
+# the pattern's shoulder point; how far its sleeves, and the arms at rest, fall below the horizontal
+SHOULDER_M, SLEEVE_DROP_DEG = np.array([0.215, -0.035]), 25.0
 _WOOL = np.array([0.66, 0.63, 0.58])
 _NAVY, _RED = np.array([0.20, 0.25, 0.46]), np.array([0.60, 0.19, 0.17])
 _YELLOW, _GREEN = np.array([0.66, 0.53, 0.16]), np.array([0.20, 0.42, 0.24])
@@ -45,7 +48,6 @@ _SHOULDERS = (-0.075, 0.110, 0.068)
 _TORSO = (_SEAT, _HIPS, _WAIST, _CHEST, _SHOULDERS)
 _UPPER_ARM_M, _FOREARM_M = 0.29, 0.25
 _ARM_RADII = (0.056, 0.042, 0.030)
-_REST_DROP_DEG = 25.0
 _TEMPO = 0.85  # slows the whole dance; the frequencies below are those at 1
 
 
@@ -73,8 +75,8 @@ def _dancing(
     name: str, options: SceneOptions, print_at: Callable[[FloatArray, FloatArray], FloatArray] | None
 ) -> Scene:
     rng = np.random.default_rng(options.seed + 1)
-    garment = DancingGarment(options.seed)
-    sewn = garment.garment
+    sewn = read_sweater()
+    garment = DancingGarment(options.seed, sewn)
     faces, flat, gather = sewn.faces, sewn.flat, sewn.gather
     refine = None
     for _ in range(_LEVELS):
@@ -103,6 +105,12 @@ def _dancing(
         vertices=_refined(garment, refine, faces, relief),
         frame_count=_FRAMES,
     )
+
+
+def read_sweater() -> Garment:
+    """Read the sewn sweater that the package ships: two panels, joined along sides and sleeves."""
+    shape = read_shape("sweater")
+    return Garment(**{name: shape[name] for name in ("flat", "gather", "panel", "faces")})
 
 
 def _printed(
@@ -159,10 +167,8 @@ class DancingGarment:
     same seed gives the same bytes.
     """
 
-    def __init__(
-        self, seed: int, edge_length: float = EDGE_LENGTH_M, thickness_m: float = THICKNESS_M
-    ) -> None:
-        self.garment: Garment = sew_sweater(edge_length)
+    def __init__(self, seed: int, garment: Garment, thickness_m: float = THICKNESS_M) -> None:
+        self.garment = garment
         self._thickness_m = thickness_m
         self._phases = np.random.default_rng(seed).uniform(0.0, 2.0 * np.pi, 8)
         self._solver: ClothSolver | None = None  # dressed when the first frame is asked for
@@ -200,6 +206,16 @@ class DancingGarment:
             solver.draw_ribbing((frame + 1) / _HANG_FRAMES)
             solver.advance(body, body)
         return solver
+
+
+def knit_coordinates(flat: Points2) -> Points2:
+    """Return (n, 2) metres across and along the ribs: upright on the body, lengthwise on the sleeves."""
+    drop = np.deg2rad(SLEEVE_DROP_DEG)
+    folded = np.stack([np.abs(flat[:, 0]), flat[:, 1]], axis=1) - SHOULDER_M
+    along = folded @ [np.cos(drop), -np.sin(drop)]
+    across = folded @ [-np.sin(drop), -np.cos(drop)]
+    on_sleeve = folded[:, 0] > 0.02 - 0.25 * folded[:, 1]  # beyond the armhole
+    return np.where(on_sleeve[:, None], np.stack([across, along], axis=1), flat)
 
 
 def knit_relief(along_knit: Points2, gather: FloatArray) -> FloatArray:
@@ -331,7 +347,7 @@ class Pose:
     hip_turn: float = 0.0
     chest_turn: float = 0.0
     bend: float = 0.0
-    arm_drop: tuple[float, float] = (np.deg2rad(_REST_DROP_DEG), np.deg2rad(_REST_DROP_DEG))
+    arm_drop: tuple[float, float] = (np.deg2rad(SLEEVE_DROP_DEG), np.deg2rad(SLEEVE_DROP_DEG))
     arm_forward: tuple[float, float] = (0.0, 0.0)
     elbow: tuple[float, float] = (0.0, 0.0)
 
@@ -378,7 +394,7 @@ def pose_at(time_s: float, phases: FloatArray, amount: float = 1.0) -> Pose:
         return float(np.sin(swing * hertz + phases[index]))
 
     turn = 0.36 * wave(0.37, 0) + 0.07 * wave(0.92, 1)
-    rest = np.deg2rad(_REST_DROP_DEG)
+    rest = np.deg2rad(SLEEVE_DROP_DEG)
     drop = [0.74 + 0.24 * wave(0.46, 2 + side) + 0.06 * wave(0.92, 4 + side) for side in (0, 1)]
     forward = [0.12 + 0.22 * wave(0.53, 5 - side) for side in (0, 1)]
     elbow = [0.26 + 0.14 * wave(0.46, 6 + side) for side in (0, 1)]

@@ -1,25 +1,104 @@
-"""The head in motion: jaw and lids that rotate, muscles that shift the skin, a neck that turns."""
+"""The head: its neutral shape, and how jaw, lids, muscles and neck move it.
+
+Head frame: centimetres, x to the right in the image (the person's left), y up, z towards the viewer, origin
+between the ears at the height of the pupils. `recipes/scene_shapes.py` sculpted it.
+"""
 
 from dataclasses import dataclass
 from enum import Enum
+from functools import cache
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from vntoolkit.arrays import FloatArray, IntArray, Points, Points2
-from vntoolkit.simulation.head import anatomy
-from vntoolkit.simulation.head.anatomy import Head, build_head, lid_line, lip_line
-from vntoolkit.simulation.head.sculpture import EYE_CENTRE, EYE_RADIUS, MOUTH_HALF_WIDTH
+from vntoolkit.arrays import Colours, Faces, FloatArray, IntArray, Points, Points2, read_only
 from vntoolkit.simulation.scene import SCENES, Scene
+from vntoolkit.simulation.shapes import read_shape
 
+SKIN, CAVITY, LID_RIM, EYES, UPPER_TEETH, LOWER_TEETH, TONGUE = range(7)
+EYE_CENTRE = (3.15, 0.0, 6.75)
 _JAW_HINGE = np.array([0.0, -1.6, 0.8])
 _JAW_DEG = 15.0
-_UPPER_LID_DEG, _LOWER_LID_DEG = 34.0, 11.0
-_LID_HALF_WIDTH = 1.25
 _NECK_PIVOT = np.array([0.0, -9.0, -2.0])
-# (place, radius, shift) on the side x > 0, mirrored to the other; side +1 or -1 moves that lip alone
-_Pull = tuple[tuple[float, float, float], float, tuple[float, float, float], int]
-_CORNER = (2.55, -6.8, 8.0)
+
+
+class Makeup(Enum):
+    """Bare skin with freckles, or one uniform colour over the whole skin, lips and brows."""
+
+    NONE = "none"
+    UNIFORM = "uniform"
+
+
+class Muscle(Enum):
+    """What can be contracted."""
+
+    SMILE = "smile"
+    GRIMACE = "grimace"
+    PUCKER = "pucker"
+    LIPS_APART = "lips_apart"
+    BROWS_UP = "brows_up"
+    BROWS_KNIT = "brows_knit"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Slit:
+    """The two sides of a cut, vertex numbers from its smallest to its largest x.
+
+    upper and lower have the same length and share their first and last vertex, the corners.
+    """
+
+    upper: IntArray
+    lower: IntArray
+
+    @property
+    def loop(self) -> IntArray:
+        """Vertex numbers once round, from the corner of least x: along the upper side, back by the lower."""
+        return np.concatenate([self.upper, self.lower[-2:0:-1]])
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Head:
+    """The neutral head, lids and lips closed.
+
+    part: (n,) one of SKIN … TONGUE. hair: (n,) from 0 skin to 1 hair. mouth, eyes: the slits; eyes[0] lies at
+    x < 0. colours: (n, 3) weights of the RGB pigments. jaw: (n,) how far a vertex follows the jaw, 0 to 1.
+    lids: (n,) the angle that opens the lids, radians, negative upwards. muscles: (n, 3) centimetres by which
+    each shifts the skin at full strength.
+    """
+
+    vertices: Points
+    faces: Faces
+    part: IntArray
+    hair: FloatArray
+    mouth: Slit
+    eyes: tuple[Slit, Slit]
+    colours: dict[Makeup, Colours]
+    jaw: FloatArray
+    lids: FloatArray
+    muscles: dict[Muscle, Points]
+
+
+@cache
+def read_head() -> Head:
+    """Read the head that the package ships, once per process."""
+    shape = read_shape("head")
+    slits = {
+        name: Slit(upper=shape[f"{name}_upper"], lower=shape[f"{name}_lower"])
+        for name in ("mouth", "left_eye", "right_eye")
+    }
+    white = np.iinfo(np.uint16).max
+    return Head(
+        vertices=read_only(shape["vertices"].astype(np.float64)),
+        faces=read_only(shape["faces"]),
+        part=shape["part"],
+        hair=shape["hair"].astype(np.float64),
+        mouth=slits["mouth"],
+        eyes=(slits["left_eye"], slits["right_eye"]),
+        colours={m: (shape[f"colours_{m.value}"] / white).astype(np.float32) for m in Makeup},
+        jaw=shape["jaw"].astype(np.float64),
+        lids=shape["lids"].astype(np.float64),
+        muscles={m: shape[m.value].astype(np.float64) for m in Muscle},
+    )
 
 
 class HeadRig:
@@ -27,17 +106,15 @@ class HeadRig:
 
     def __init__(self, head: Head) -> None:
         self.head = head
-        self._rest = np.array(head.vertices)
-        on_rim = self._rest[head.owner]  # what hangs on a rim moves with it
-        self._jaw = _jaw_share(head, on_rim)
-        self._muscles = muscle_fields(head, on_rim)
-        self._lids = [_lid_angles(head, on_rim, sign) for sign in (-1.0, 1.0)]
-        self._eyes = [(head.part == anatomy.EYES) & (np.sign(self._rest[:, 0]) == s) for s in (-1.0, 1.0)]
-        self._neck = np.where(self._rest[:, 1] > -9.0, 1.0, _smooth((self._rest[:, 1] + 16.5) / 7.5))
+        x, y, _ = head.vertices.T
+        self._jaw = np.flatnonzero(head.jaw > 0)
+        self._lids = [np.flatnonzero((head.lids != 0) & (np.sign(x) == sign)) for sign in (-1.0, 1.0)]
+        self._eyes = [(head.part == EYES) & (np.sign(x) == sign) for sign in (-1.0, 1.0)]
+        self._neck = np.where(y > -9.0, 1.0, _smooth((y + 16.5) / 7.5))
 
     def vertices(self, expression: "Expression", pose: "HeadPose") -> Points:
         """Return all vertices; the shoulders' end of the neck stays where it is."""
-        points = self._rest.copy()
+        points = np.array(self.head.vertices)
         self._move_muscles(points, expression)
         self._open_jaw(points, expression.jaw)
         for eye, sign in enumerate((-1.0, 1.0)):
@@ -54,23 +131,21 @@ class HeadRig:
         }  # fmt: skip
         for muscle, strength in strengths.items():
             if strength != 0.0:
-                rows, shift = self._muscles[muscle]
-                points[rows] += strength * shift
+                points += strength * self.head.muscles[muscle]
 
     def _open_jaw(self, points: Points, jaw: float) -> None:
-        rows = np.flatnonzero(self._jaw > 0)
-        angle = np.radians(_JAW_DEG) * jaw * self._jaw[rows]
-        points[rows] = _rotated_about_x(points[rows], _JAW_HINGE, angle)
+        angle = np.radians(_JAW_DEG) * jaw * self.head.jaw[self._jaw]
+        points[self._jaw] = _rotated_about_x(points[self._jaw], _JAW_HINGE, angle)
 
     def _turn_lids(self, points: Points, eye: int, sign: float, lids: float) -> None:
-        rows, angle = self._lids[eye]
+        rows = self._lids[eye]
         centre = np.array(EYE_CENTRE) * [sign, 1.0, 1.0]
-        points[rows] = _rotated_about_x(points[rows], centre, lids * angle)
+        points[rows] = _rotated_about_x(points[rows], centre, lids * self.head.lids[rows])
 
     def _turn_eye(self, points: Points, eye: int, sign: float, gaze_deg: tuple[float, float]) -> None:
         centre = np.array(EYE_CENTRE) * [sign, 1.0, 1.0]
         turn = Rotation.from_euler("yx", [gaze_deg[0], -gaze_deg[1]], degrees=True)
-        points[self._eyes[eye]] = turn.apply(self._rest[self._eyes[eye]] - centre) + centre
+        points[self._eyes[eye]] = turn.apply(self.head.vertices[self._eyes[eye]] - centre) + centre
 
     def _turn_head(self, points: Points, pose: "HeadPose") -> Points:
         """Rotate about the neck's pivot; below it the rotation fades, the neck twists (slerp of one axis)."""
@@ -92,126 +167,6 @@ def _rotated_about_x(points: Points, centre: FloatArray, angle: FloatArray) -> P
 def _smooth(x: FloatArray) -> FloatArray:
     x = np.clip(x, 0.0, 1.0)
     return x * x * (3.0 - 2.0 * x)
-
-
-def _jaw_share(head: Head, points: Points) -> FloatArray:
-    """Return (n,) how far each vertex follows the jaw: 1 chin and lower lip, 0 skull, less in the cheeks."""
-    x, y, z = points.T
-    level = y - lip_line(x)
-    almond = np.sqrt(np.clip(1.0 - (x / MOUTH_HALF_WIDTH) ** 2, 0.0, 1.0))
-    reach = 0.5 + 0.9 * np.clip(np.abs(x) - 1.6, 0.0, None)
-    away = np.maximum(almond, _smooth(np.abs(level) / reach))
-    share = 0.5 - 0.5 * np.where(head.side == 0, 0.0, head.side) * away
-    share = np.where(z > 1.5, share, 0.5 - 0.5 * np.sign(level) * _smooth(np.abs(level) / reach))
-    behind = _smooth((z + 0.5) / 4.0)  # the jaw's angle hardly moves
-    throat = _smooth((y + 13.2 + 0.25 * np.clip(z, 0.0, 8.0)) / 2.2)
-    share = np.clip(share, 0.0, 1.0) * behind * throat
-    share = np.where((head.part == anatomy.LOWER_TEETH) | (head.part == anatomy.TONGUE), 1.0, share)
-    return np.where((head.part == anatomy.UPPER_TEETH) | (head.part == anatomy.EYES), 0.0, share)
-
-
-def _lid_angles(head: Head, points: Points, sign: float) -> tuple[IntArray, FloatArray]:
-    """Return the vertices of one eye's lids and the angle that opens them, radians, negative upwards."""
-    centre = np.array(EYE_CENTRE) * [sign, 1.0, 1.0]
-    offset = points - centre
-    distance = np.linalg.norm(offset, axis=1)
-    near = (distance < 2.9) & (offset[:, 2] > -0.2) & (head.part != anatomy.EYES)
-    rows = np.flatnonzero(near)
-    o = offset[rows]
-    radius = np.maximum(np.hypot(o[:, 1], o[:, 2]), 1e-6)
-    elevation = np.degrees(np.arctan2(o[:, 1], o[:, 2]))
-    seam = np.degrees(np.arcsin(np.clip((lid_line(points[rows, 0]) - centre[1]) / radius, -0.95, 0.95)))
-    slit = head.eyes[0 if sign < 0 else 1]
-    owner = head.owner[rows]
-    above = np.where(
-        np.isin(owner, slit.upper), True, np.where(np.isin(owner, slit.lower), False, elevation > seam)
-    )
-    almond = np.clip(1.0 - (o[:, 0] / _LID_HALF_WIDTH) ** 2, 0.0, 1.0) ** 0.65
-    fade = 1.0 - _smooth((distance[rows] - 1.45 * EYE_RADIUS / 1.22) / 1.3)
-    upper = 1.0 - _smooth((elevation - seam) / 75.0)
-    lower = 1.0 - _smooth((seam - elevation) / 50.0)
-    angle = np.where(above, -_UPPER_LID_DEG * np.clip(upper, 0, 1), _LOWER_LID_DEG * np.clip(lower, 0, 1))
-    return rows, np.radians(angle) * almond * fade
-
-
-class Muscle(Enum):
-    """What can be contracted."""
-
-    SMILE = "smile"
-    GRIMACE = "grimace"
-    PUCKER = "pucker"
-    LIPS_APART = "lips apart"
-    BROWS_UP = "brows up"
-    BROWS_KNIT = "brows knit"
-
-
-# Muscles: each moves the skin around a few places smoothly, and separates the lips.
-
-
-_PULLS: dict[Muscle, tuple[_Pull, ...]] = {
-    Muscle.SMILE: (
-        (_CORNER, 1.5, (0.62, 0.62, -0.45), 0),
-        ((4.0, -3.9, 7.0), 1.7, (0.05, 0.38, 0.42), 0),
-        ((3.2, -1.4, 7.8), 1.0, (0.0, 0.16, 0.10), 0),
-        ((1.0, -6.3, 9.4), 1.0, (0.10, 0.06, -0.16), 0),
-    ),
-    Muscle.GRIMACE: (
-        (_CORNER, 1.5, (0.45, -0.45, -0.25), 0),
-        ((1.3, -3.7, 9.2), 0.9, (0.10, 0.30, 0.05), 0),
-        ((1.0, -6.2, 9.4), 1.0, (0.0, 0.38, 0.05), 1),
-        ((0.9, -7.3, 9.4), 1.1, (0.05, -0.42, 0.0), -1),
-        ((2.0, -2.0, 8.4), 1.2, (0.0, 0.25, 0.18), 0),
-        ((0.0, -10.0, 8.9), 1.2, (0.0, 0.25, 0.10), 0),
-    ),
-    Muscle.PUCKER: (
-        (_CORNER, 1.3, (-0.85, 0.0, 0.45), 0),
-        ((0.0, -6.4, 9.5), 1.2, (0.0, 0.06, 0.38), 1),
-        ((0.0, -7.3, 9.4), 1.2, (0.0, -0.06, 0.42), -1),
-        ((3.9, -6.2, 7.2), 1.5, (-0.20, 0.0, -0.15), 0),
-    ),
-    Muscle.LIPS_APART: (
-        ((0.0, -6.3, 9.5), 1.5, (0.0, 0.26, 0.04), 1),
-        ((0.0, -7.2, 9.4), 1.5, (0.0, -0.34, 0.04), -1),
-    ),
-    Muscle.BROWS_UP: (
-        ((1.6, 2.4, 8.6), 1.4, (0.0, 0.50, 0.05), 0),
-        ((3.8, 2.6, 7.4), 1.5, (0.0, 0.55, 0.03), 0),
-        ((2.0, 5.0, 8.4), 1.8, (0.0, 0.22, 0.0), 0),
-    ),
-    Muscle.BROWS_KNIT: (
-        ((1.5, 2.0, 8.7), 1.2, (-0.30, -0.42, 0.16), 0),
-        ((3.4, 2.4, 7.7), 1.3, (-0.12, -0.22, 0.05), 0),
-    ),
-}
-
-
-_LEAST_SHIFT_CM = 1e-3
-
-
-def muscle_fields(head: Head, points: Points) -> dict[Muscle, tuple[IntArray, FloatArray]]:
-    """Return per muscle the rows it moves and their shift (k, 3) in centimetres at full strength."""
-    fields: dict[Muscle, tuple[IntArray, FloatArray]] = {}
-    soft = np.isin(head.part, (anatomy.SKIN, anatomy.CAVITY, anatomy.LID_RIM))
-    almond = np.sqrt(np.clip(1.0 - (points[:, 0] / MOUTH_HALF_WIDTH) ** 2, 0.0, 1.0))
-    for muscle, pulls in _PULLS.items():
-        shift = np.zeros_like(points)
-        for place, radius, pull, lip in pulls:
-            for mirror in (1.0, -1.0) if place[0] else (1.0,):
-                flip = np.array([mirror, 1.0, 1.0])
-                squared = np.sum((points - flip * place) ** 2, axis=1)
-                share = np.exp(-0.5 * squared / (0.7 * radius) ** 2)
-                if lip:
-                    share = share * _one_lip(head.side, points, almond, lip)
-                shift += share[:, None] * (flip * pull)
-        rows = np.flatnonzero(soft & (np.linalg.norm(shift, axis=1) > _LEAST_SHIFT_CM))
-        fields[muscle] = (rows, shift[rows])
-    return fields
-
-
-def _one_lip(side: IntArray, points: Points, almond: FloatArray, lip: int) -> FloatArray:
-    """Return 1 on that lip, 0 on the other, fading towards the corners where the two are one."""
-    away = np.abs(points[:, 1] - anatomy.lip_line(points[:, 0]))
-    return np.where(side == lip, np.maximum(almond, np.clip(away / 0.8, 0.0, 1.0)), 0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -313,6 +268,6 @@ def seam_lines_px(scene: Scene, frame: int) -> tuple[Points2, ...]:
     """
     if not SCENES.get(scene.name, "").startswith("vntoolkit.simulation.head."):
         return ()
-    head, vertices = build_head(), scene.vertices(frame)
+    head, vertices = read_head(), scene.vertices(frame)
     slits = (head.mouth, *head.eyes)
     return tuple(scene.camera.project(vertices[edge]) for slit in slits for edge in (slit.upper, slit.lower))

@@ -1,24 +1,25 @@
 """The scenes `head_turn`, `face` and `face_makeup` (Figures 2, 3, 8)."""
 
 from collections.abc import Callable
-from enum import Enum
 
 import numpy as np
 from scipy.ndimage import gaussian_filter, gaussian_filter1d
 
-from vntoolkit.arrays import Colours, FloatArray, Points
-from vntoolkit.simulation.head import anatomy
-from vntoolkit.simulation.head.anatomy import IRIS_RADIUS, PUPIL_RADIUS, Head, build_head, lip_line
+from vntoolkit.arrays import FloatArray, Points
+from vntoolkit.options.simulation import SceneOptions
+from vntoolkit.simulation.head import rig
 from vntoolkit.simulation.head.rig import (
     Expression,
+    Head,
     HeadRig,
+    Makeup,
     performance_at,
     performance_pose,
+    read_head,
     turning_pose,
 )
-from vntoolkit.simulation.head.sculpture import EYE_CENTRE, MOUTH_HALF_WIDTH, azimuth_deg, hair_share
 from vntoolkit.simulation.lights import studio_camera, studio_centre, studio_lights
-from vntoolkit.simulation.scene import Detail, Scene, SceneOptions, SceneSurface
+from vntoolkit.simulation.scene import Detail, Scene, SceneSurface
 
 _TURN_FRAMES, _WIDEST_TURN_DEG = 90, 68.0
 _FACE_FRAMES = 1000
@@ -32,23 +33,21 @@ _LOW_CM, _HIGH_CM = -20.0, 12.6
 _SKIN_ROWS = 0.97  # the rows above are plain: eyes, teeth, tongue
 # how much a freckle takes from red, green, blue: melanin absorbs most at short wavelengths
 _MELANIN = np.array([0.30, 0.62, 1.15])
-_SKIN, _LIPS = np.array([0.64, 0.43, 0.33]), np.array([0.47, 0.20, 0.185])
-_HAIR, _MAKEUP = np.array([0.115, 0.075, 0.050]), np.array([0.66, 0.62, 0.57])
-_IRIS, _SCLERA = np.array([0.16, 0.24, 0.27]), np.array([0.72, 0.70, 0.68])
-_FLESH, _TOOTH, _RIM = (
-    np.array([0.30, 0.075, 0.07]),
-    np.array([0.74, 0.70, 0.60]),
-    np.array([0.24, 0.13, 0.10]),
-)
+_REFLECTANCES = {Makeup.NONE: np.array([0.64, 0.43, 0.33]), Makeup.UNIFORM: np.array([0.66, 0.62, 0.57])}
+_SOFT = (rig.SKIN, rig.CAVITY, rig.LID_RIM)
+# azimuth from the front, degrees, and the height where the hair begins there, centimetres
+HAIRLINE_DEG = (0.0, 20.0, 40.0, 55.0, 66.0, 76.0, 84.0, 98.0, 118.0, 128.0, 145.0, 180.0)
+HAIRLINE_CM = (7.0, 7.1, 6.4, 4.6, 2.6, -1.0, 2.6, 3.3, 2.6, -2.0, -6.0, -7.0)
+_HAIR_EDGE_CM = 0.7
 
 
 def build_head_turn(options: SceneOptions) -> Scene:
     """Return a freckled head that turns from 68° left to 68° right with a fixed expression."""
-    rig = HeadRig(build_head())
+    head = HeadRig(read_head())
 
     def vertices(frame: int) -> Points:
         pose = turning_pose(frame / (_TURN_FRAMES - 1), _WIDEST_TURN_DEG)
-        return rig.vertices(Expression(), pose)
+        return head.vertices(Expression(), pose)
 
     return _scene("head_turn", options, Makeup.NONE, vertices, _TURN_FRAMES, _FIELD_WIDTH_M, _MIDDLE_CM)
 
@@ -64,12 +63,12 @@ def build_face_makeup(options: SceneOptions) -> Scene:
 
 
 def _performing(name: str, options: SceneOptions, makeup: "Makeup") -> Scene:
-    rig = HeadRig(build_head())
+    head = HeadRig(read_head())
     phases = np.random.default_rng(options.seed).uniform(0.0, 2.0 * np.pi, 8)
 
     def vertices(frame: int) -> Points:
         time_s = frame / 60.0
-        return rig.vertices(performance_at(time_s, phases), performance_pose(time_s, phases))
+        return head.vertices(performance_at(time_s, phases), performance_pose(time_s, phases))
 
     return _scene(name, options, makeup, vertices, _FACE_FRAMES, _FACE_FIELD_WIDTH_M, _FACE_MIDDLE_CM)
 
@@ -83,13 +82,13 @@ def _scene(
     field_width_m: float,
     middle_cm: Points,
 ) -> Scene:
-    head = build_head()
+    head = read_head()
     rng = np.random.default_rng(options.seed + 1)
-    soft = np.isin(head.part, (anatomy.SKIN, anatomy.CAVITY, anatomy.LID_RIM))
+    soft = np.isin(head.part, _SOFT)
     surface = SceneSurface(
         faces=head.faces,
         reference_weights=skin_reflectance(makeup),
-        vertex_weights=vertex_colours(head, makeup),
+        vertex_weights=head.colours[makeup],
         texture=skin_texture(rng, makeup),
         uv=corner_uv(head),
         detail=Detail(height_m=skin_relief(rng), strength=soft.astype(np.float64)),
@@ -109,53 +108,16 @@ def _scene(
 def _gloss(head: Head, makeup: "Makeup") -> Points:
     """Return (n,) the strength of the specular lobe: a trace on bare skin, none on matte makeup."""
     gloss = np.full(len(head.vertices), _SKIN_GLOSS if makeup is Makeup.NONE else 0.0)
-    gloss[np.isin(head.part, (anatomy.EYES, anatomy.UPPER_TEETH, anatomy.LOWER_TEETH))] = _EYE_GLOSS
+    gloss[np.isin(head.part, (rig.EYES, rig.UPPER_TEETH, rig.LOWER_TEETH))] = _EYE_GLOSS
     return gloss
 
 
-class Makeup(Enum):
-    """Bare skin with freckles, or one uniform colour over the whole skin, lips and brows."""
-
-    NONE = "none"
-    UNIFORM = "uniform"
-
-
-# The head's colours and finest relief: skin with freckles, lips, brows, hair, eyes; or makeup.
+# The skin's colours and finest relief: freckles, brows, hair; or makeup.
 
 
 def skin_reflectance(makeup: Makeup) -> FloatArray:
     """Return (3,) the RGB weights of most of the skin."""
-    return _SKIN if makeup is Makeup.NONE else _MAKEUP
-
-
-def vertex_colours(head: Head, makeup: Makeup) -> Colours:
-    """Return (n, 3) the weights of the RGB pigments that change slowly over the head."""
-    x, y, z = head.vertices.T
-    skin = np.tile(skin_reflectance(makeup), (len(x), 1))
-    if makeup is Makeup.NONE:
-        half = np.clip(1.0 - (x / (MOUTH_HALF_WIDTH + 0.1)) ** 2, 0.0, 1.0) ** 0.6
-        level = y - lip_line(x)
-        reach = np.where(level > 0, 0.80, 1.05) * half + 1e-6
-        lips = _smooth((1.12 - np.abs(level) / reach) / 0.24) * (z > 6.5) * (half > 0)
-        warm = np.exp(-0.5 * (((np.abs(x) - 4.3) / 1.5) ** 2 + ((y + 3.3) / 1.5) ** 2))
-        warm += 0.8 * np.exp(-0.5 * ((x / 0.9) ** 2 + ((y + 3.5) / 0.9) ** 2))
-        skin *= 1.0 - 0.22 * (warm * (z > 4.0))[:, None] * np.array([0.1, 1.0, 0.9])
-        skin += lips[:, None] * (_LIPS - skin)
-    colours = skin + head.hair[:, None] * (_HAIR - skin)
-    for part, colour in ((anatomy.CAVITY, _FLESH), (anatomy.TONGUE, 1.3 * _FLESH), (anatomy.LID_RIM, _RIM),
-                         (anatomy.UPPER_TEETH, _TOOTH), (anatomy.LOWER_TEETH, _TOOTH)):  # fmt: skip
-        colours[head.part == part] = colour
-    eyes = head.part == anatomy.EYES
-    colours[eyes] = _eye_colours(np.hypot(np.abs(x[eyes]) - EYE_CENTRE[0], y[eyes]), z[eyes] > EYE_CENTRE[2])
-    return colours.astype(np.float32)
-
-
-def _eye_colours(off_axis: FloatArray, in_front: FloatArray) -> Colours:
-    iris = _smooth((IRIS_RADIUS + 0.03 - off_axis) / 0.06) * in_front
-    rim = np.exp(-0.5 * ((off_axis - IRIS_RADIUS + 0.05) / 0.06) ** 2) * in_front
-    pupil = _smooth((PUPIL_RADIUS + 0.03 - off_axis) / 0.06) * in_front
-    colours = _SCLERA + iris[:, None] * (_IRIS - _SCLERA)
-    return np.asarray(colours * (1.0 - 0.6 * rim[:, None]) * (1.0 - 0.95 * pupil[:, None]), dtype=np.float32)
+    return _REFLECTANCES[makeup]
 
 
 def corner_uv(head: Head) -> FloatArray:
@@ -163,7 +125,7 @@ def corner_uv(head: Head) -> FloatArray:
     u = azimuth_deg(head.vertices) / 360.0 + 0.5
     above = np.maximum(head.vertices[:, 1] - _LOW_CM, 0.0)  # the rim lies a hair to either side of the cut
     v = _SKIN_ROWS * above / (_HIGH_CM - _LOW_CM)
-    own = ~np.isin(head.part, (anatomy.SKIN, anatomy.CAVITY, anatomy.LID_RIM))
+    own = ~np.isin(head.part, _SOFT)
     u, v = np.where(own, 0.5, u), np.where(own, 0.985, v)
     uv = np.stack([u, v], axis=1)[head.faces]
     wraps = np.ptp(uv[..., 0], axis=1) > 0.5
@@ -208,6 +170,23 @@ def _texel_grid() -> tuple[FloatArray, FloatArray]:
     height = _LOW_CM + (np.arange(ROWS) + 0.5) / ROWS / _SKIN_ROWS * (_HIGH_CM - _LOW_CM)
     grid = np.meshgrid(azimuth, height)
     return grid[0], grid[1]
+
+
+def azimuth_deg(points: Points) -> FloatArray:
+    """Return (n,) the angle about the vertical from the front, positive towards +x."""
+    return np.degrees(np.arctan2(points[:, 0], points[:, 2]))
+
+
+def hair_share(points: Points) -> FloatArray:
+    """Return (n,) from 0 on skin to 1 in the hair."""
+    azimuth = np.abs(azimuth_deg(points))
+    line = np.interp(azimuth, HAIRLINE_DEG, HAIRLINE_CM)
+    ripple = 0.10 * np.sin(1.7 * azimuth) + 0.14 * np.sin(0.43 * azimuth + 2.0) + 0.08 * np.sin(1.1 * azimuth)
+    share = np.clip((points[:, 1] - line - ripple) / _HAIR_EDGE_CM, 0.0, 1.0)
+    in_ear = (
+        (np.abs(points[:, 0]) > 6.75) & (points[:, 1] < 2.9) & (points[:, 2] > -2.6) & (points[:, 2] < 1.4)
+    )
+    return np.where(in_ear, 0.0, share * share * (3.0 - 2.0 * share))
 
 
 def _hair_on_texels(azimuth: FloatArray, height: FloatArray) -> FloatArray:

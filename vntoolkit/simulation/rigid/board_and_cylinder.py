@@ -9,10 +9,11 @@ from scipy.spatial.transform import Rotation
 from vntoolkit.arrays import Faces, FloatArray, Points, Vector3
 from vntoolkit.geometry.board_layout import MARKER_DICTIONARY, BoardLayout
 from vntoolkit.geometry.rigid import RigidTransform
+from vntoolkit.options.simulation import SceneOptions
 from vntoolkit.simulation.grids import closed_columns, grid_faces, grid_uv
 from vntoolkit.simulation.lights import studio_camera, studio_centre, studio_lights
 from vntoolkit.simulation.relief import paper_fibres, plain_weave, tiling_noise
-from vntoolkit.simulation.scene import Detail, Scene, SceneOptions, SceneSurface, sample_weights
+from vntoolkit.simulation.scene import Detail, Scene, SceneSurface, sample_weights
 
 FRAME_COUNT = 240
 _FIELD_WIDTH_M = 0.38

@@ -9,9 +9,10 @@ import numpy as np
 
 from vntoolkit.arrays import FloatArray, Points
 from vntoolkit.geometry.camera import Camera
+from vntoolkit.options.simulation import SceneOptions
 from vntoolkit.simulation.grids import grid_faces, grid_uv
 from vntoolkit.simulation.lights import Lights, coloured_lamps, room_glow
-from vntoolkit.simulation.scene import Scene, SceneOptions, SceneSurface
+from vntoolkit.simulation.scene import Scene, SceneSurface
 
 BALL_RADIUS_M = 2.4e-3
 _PRESSES, _ROLLED = 36, 24  # frames

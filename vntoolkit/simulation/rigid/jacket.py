@@ -8,10 +8,11 @@ from scipy.interpolate import PchipInterpolator
 from vntoolkit.arrays import Faces, FloatArray, Points
 from vntoolkit.geometry.mesh import vertex_normals
 from vntoolkit.geometry.rigid import RigidTransform
+from vntoolkit.options.simulation import SceneOptions
 from vntoolkit.simulation.grids import closed_columns, grid_faces, grid_uv
 from vntoolkit.simulation.lights import studio_camera, studio_centre, studio_lights
 from vntoolkit.simulation.relief import twill_weave
-from vntoolkit.simulation.scene import Detail, Scene, SceneOptions, SceneSurface
+from vntoolkit.simulation.scene import Detail, Scene, SceneSurface
 
 _COTTON = np.array([0.47, 0.43, 0.35])
 _THREADS = 16  # in a tile of the weave

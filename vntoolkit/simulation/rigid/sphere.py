@@ -4,9 +4,10 @@ import numpy as np
 
 from vntoolkit.arrays import Faces, Points
 from vntoolkit.geometry.rigid import RigidTransform
+from vntoolkit.options.simulation import SceneOptions
 from vntoolkit.simulation.grids import closed_columns, grid_faces
 from vntoolkit.simulation.lights import studio_camera, studio_centre, studio_lights
-from vntoolkit.simulation.scene import Scene, SceneOptions, SceneSurface
+from vntoolkit.simulation.scene import Scene, SceneSurface
 
 RADIUS_M = 0.3
 _RINGS, _SEGMENTS = 240, 480

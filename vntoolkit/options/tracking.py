@@ -1,14 +1,15 @@
-"""What the user chooses about tracking: a whole method by name, and what the published ones leave open."""
-
-from __future__ import annotations
+"""How frames are registered to one mesh."""
 
 from dataclasses import dataclass
 from enum import Enum
+from typing import Literal, TypeAlias
 
 from vntoolkit.checks import require_in_range
 from vntoolkit.errors import BadInput
+from vntoolkit.options.base import Named, Options, named
 
 _PAPERS_LENGTH = 38.7  # edges: sqrt(1.5 / β) for the paper's β = 1e-3 on edges of length 1
+
 _PAPERS_SHARE = 0.9
 
 
@@ -25,20 +26,26 @@ class Tracker(Enum):
     ARAP = "arap"  # as rigid as possible
 
 
+TrackerName: TypeAlias = Literal[
+    "default", "no-registration", "flow", "translation", "laplacian", "laplacian-previous",
+    "laplacian-cotangent", "arap",
+]  # fmt: skip
+
+
 @dataclass(frozen=True, kw_only=True)
-class TrackingOptions:
-    """How the template follows the video.
+class TrackingOptions(Options):
+    """How the template follows the video."""
 
-    method: a whole method by name. smoothing_length: in edges; the Laplacian methods keep waves longer than
-    about five times this (β = 1.5 / length²; the default is the paper's β = 1e-3). data_share: α of the
-    translation method, the share of the data term, 0 to 1, the paper's by default.
-    """
-
-    method: Tracker = Tracker.DEFAULT
+    method: Named[Tracker, TrackerName] = named(Tracker.DEFAULT)
+    """A whole method by name."""
     smoothing_length: float = _PAPERS_LENGTH
+    """In edges; the Laplacian methods keep waves longer than about five times this (β = 1.5 / length²; the
+    default is the paper's β = 1e-3)."""
     data_share: float = _PAPERS_SHARE
+    """Α of the translation method, the share of the data term, 0 to 1, the paper's by default."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         require_in_range(self.data_share, 1e-3, 1.0, "data share α")
         require_in_range(self.smoothing_length, 0.0, 1e3, "smoothing length in edges")
         name = self.method.value
@@ -48,3 +55,15 @@ class TrackingOptions:
             )
         if self.data_share != _PAPERS_SHARE and self.method is not Tracker.TRANSLATION:
             raise BadInput(f"data share α: method `{name}` has none; choose `translation`, or omit it")
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckerboardOptions(Options):
+    """How the texture is drawn."""
+
+    square_px: int = 16
+    """Side of a square of the checkerboard on the template, pixels."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_in_range(self.square_px, 1, 10_000, "square of the checkerboard in pixels")

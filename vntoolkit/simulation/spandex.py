@@ -7,9 +7,10 @@ from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 
 from vntoolkit.arrays import FloatArray, Points
-from vntoolkit.simulation.body import implicit
+from vntoolkit.options.simulation import SceneOptions
 from vntoolkit.simulation.lights import studio_camera, studio_centre, studio_lights
-from vntoolkit.simulation.scene import Scene, SceneOptions, SceneSurface
+from vntoolkit.simulation.scene import Scene, SceneSurface
+from vntoolkit.simulation.shapes import read_shape
 
 _FRAMES = 240
 _FIELD_WIDTH_M = 1.42
@@ -17,9 +18,6 @@ _MIDDLE_CM = np.array([0.0, -31.0, 0.0])
 _FABRIC = np.array([0.70, 0.70, 0.72])
 _STEP_HZ = 0.5
 _HIP, _KNEE = np.array([8.6, 0.0, 0.0]), np.array([9.2, -43.0, 1.2])
-_WAIST_CUT, _ANKLE_CUT = 17.0, -80.0
-_CELL_CM = 0.40
-_GAP_DEPTHS = (-9.0, -6.0, -3.0, 0.0, 3.0, 6.0, 9.0)  # what is carved out between the thighs
 
 
 def build_spandex(options: SceneOptions) -> Scene:
@@ -93,8 +91,8 @@ class Legs:
     """The skin of two legs and how its vertices follow a pose; open at waist and ankles."""
 
     def __init__(self) -> None:
-        low, high = np.array([-21.0, _ANKLE_CUT, -19.0]), np.array([21.0, _WAIST_CUT, 17.0])
-        rest, self.faces = implicit.mesh_from_implicit(_sculpt(), low, high, _CELL_CM)
+        shape = read_shape("legs")
+        self.faces, rest = shape["faces"], shape["vertices"].astype(np.float64)
         self.rest: Points = rest
         self._on_side = [_smooth(0.5 + sign * rest[:, 0] / 4.0) for sign in (-1.0, 1.0)]
         self._thigh = _smooth((6.0 + 0.55 * (np.abs(rest[:, 0]) - 8.0) - rest[:, 1]) / 17.0)
@@ -117,7 +115,7 @@ class Legs:
         return points + np.array([*pose.sway_cm, 0.0])
 
 
-# The legs: an implicit body at rest, bent at hips and knees.
+# The legs: one skin at rest, bent at hips and knees.
 
 
 def _turned(points: Points, centre: FloatArray, rotation: FloatArray, share: FloatArray) -> Points:
@@ -128,20 +126,3 @@ def _turned(points: Points, centre: FloatArray, rotation: FloatArray, share: Flo
 def _smooth(x: FloatArray) -> FloatArray:
     x = np.clip(x, 0.0, 1.0)
     return np.asarray(x * x * (3.0 - 2.0 * x))
-
-
-def _sculpt() -> implicit.ImplicitBody:
-    parts = [
-        implicit.ellipsoid((0.0, 12.0, -0.5), (14.0, 17.0, 9.5), 0.0),
-        implicit.ellipsoid((0.0, 26.0, 0.0), (12.5, 16.0, 8.5), 6.0),
-        *implicit.both_sides(
-            implicit.capsule((8.8, 0.0, -0.2), (9.2, -42.0, 1.0), (8.2, 5.2), 5.0),
-            implicit.ellipsoid((7.2, 1.0, -6.0), (7.2, 8.5, 6.5), 5.0),
-            implicit.ellipsoid((8.6, -18.0, 2.2), (6.4, 19.0, 5.8), 5.0),
-            implicit.ellipsoid((9.2, -43.0, 1.9), (2.6, 6.0, 2.6), 5.0),
-            implicit.capsule((9.2, -42.0, 0.8), (9.2, -84.0, -1.6), (4.2, 3.4), 3.0),
-            implicit.ellipsoid((9.6, -56.0, -2.4), (4.7, 12.5, 4.9), 4.0),
-        ),
-        *(implicit.capsule((0.0, -8.5, z), (0.0, -95.0, z), (1.5, 1.5), -3.0) for z in _GAP_DEPTHS),
-    ]
-    return implicit.ImplicitBody.from_parts(parts)

@@ -1,0 +1,48 @@
+"""What texts and numbers that a verb is given stand for: a transfer curve, the corners of a gel."""
+
+import dataclasses
+
+from vntoolkit.errors import BadInput
+from vntoolkit.geometry.rectification import Rectification
+from vntoolkit.photometry.rig import Rig
+from vntoolkit.photometry.transfer import Transfer
+
+
+def curve_from_text(text: str | None) -> Transfer | None:
+    """Return the curve of --transfer, None where it is not given."""
+    return None if text is None else Transfer.from_text(text)
+
+
+def rig_with_corners(
+    rig: Rig,
+    corners: tuple[float, ...] | None,
+    size_mm: tuple[float, float] | None,
+    filmed_px: tuple[int, int],
+) -> Rig:
+    """Return a gel's rig with the corners of --corners in footage of this size, in place of its own."""
+    if corners is None and size_mm is None:
+        return rig
+    if rig.gel is None:
+        raise BadInput("--corners: expected the rig of a tactile gel, of `vntoolkit calibrate presses`")
+    own, pixel_mm = rig.gel.rectification, 1000.0 / float(rig.camera.matrix[0, 0])
+    if size_mm is None and own is not None:
+        size_mm = (own.width_mm, own.height_mm)
+    view = rectification_from_corners(corners, size_mm, pixel_mm)
+    assert view is not None
+    if view.size != (rig.camera.width, rig.camera.height):
+        wanted = f"{rig.camera.width * pixel_mm:g} {rig.camera.height * pixel_mm:g}"
+        raise BadInput(f"--size-mm: expected {wanted}, the part of the gel that the rig was calibrated on")
+    return dataclasses.replace(rig, gel=dataclasses.replace(rig.gel, rectification=view, filmed_px=filmed_px))
+
+
+def rectification_from_corners(
+    corners: tuple[float, ...] | None, size_mm: tuple[float, float] | None, pixel_mm: float
+) -> Rectification | None:
+    """Return the rectification of --corners, --size-mm and --pixel-mm, or None without them."""
+    if corners is None and size_mm is None:
+        return None
+    if corners is None or size_mm is None:
+        raise BadInput("rectification: expected both --corners and --size-mm, got one of them")
+    return Rectification(
+        corners_px=tuple(corners), width_mm=size_mm[0], height_mm=size_mm[1], pixel_mm=pixel_mm
+    )

@@ -1,0 +1,267 @@
+"""A verb is one typed function of one argument class; its command and its Python call are made of that class.
+
+The fields of the class, most of them inherited from the option classes, are the flags and the keywords. The
+docstring beneath a field is its help.
+"""
+
+import ast
+import contextlib
+import dataclasses
+import difflib
+import functools
+import inspect
+import os
+import textwrap
+from collections.abc import Callable, Iterator
+from itertools import pairwise
+from pathlib import Path
+from typing import Annotated, Any, Literal, ParamSpec, TypeVar, Union, get_args, get_origin
+
+from cyclopts import Group, Parameter
+
+from vntoolkit.cli.removed import require_no_removed
+from vntoolkit.errors import BadInput
+from vntoolkit.options.base import hints_of, members_of
+from vntoolkit.threads import thread_policy
+
+P = ParamSpec("P")
+Asked = TypeVar("Asked")
+R = TypeVar("R")
+
+_OUTPUTS = ("out", "figure", "mesh", "report", "html", "record_to")
+_PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".exr")
+# Panel of `--help` -> the flags in it, of every verb; those that none names are of the method.
+_PANELS: dict[str, tuple[str, ...]] = {
+    "Input": (
+        "source", "sources", "folder", "folders", "scene", "measured", "reference", "rig", "camera", "video",
+        "like", "frames", "gaps", "background", "transfer", "bayer", "demosaic", "bits", "footage", "motion",
+        "skeleton", "fit", "truth", "single_light", "focal_px", "data", "labels", "label_size", "lights",
+        "measured_convention", "reference_convention", "allow", "width", "height", "rate", "realtime", "size",
+        "seconds", "crop",
+    ),
+    "Subject": (
+        "mask", "mask_level", "key", "distance", "corners", "size_mm", "pixel_mm", "ball_radius_mm",
+        "columns", "rows", "square_mm", "marker_share", "hole_squares", "seams", "garment", "fullness",
+    ),
+    "Method": (),
+    "Output": (
+        "out", "to", "overwrite", "figure", "report", "html", "mesh_out", "preview", "page", "record_to",
+        "vertices", "picture_px", "most_frames", "picture_height", "units", "up", "scale",
+    ),
+    "Machine": ("jobs", "scheduler", "host", "port", "max_megapixels", "max_vertices"),
+    "Expert": (
+        "albedo_tolerance", "darkest", "clipped", "steepest_slope_deg", "least_weight", "precision",
+        "tolerance", "most_iterations", "largest_step", "shadow_share", "outlier_sigmas", "inlier_share",
+        "largest_error_px", "radial_terms", "tangential", "rim_share", "contact_share", "flat_share",
+        "hull_cells", "corner_spacing_px", "window_px", "margin_px", "pose_tracks", "least_turn_deg",
+        "references", "stereo_window_px", "before", "behind", "least_correlation", "smoothing_px",
+        "fusion_depth", "agreement", "confirmations", "hull_gap", "light_frames", "light_points",
+        "light_draws", "light_inlier", "threshold", "neighbours",
+    ),
+}  # fmt: skip
+_PANEL_OF = {name: panel for panel, names in _PANELS.items() for name in names}
+_GROUPS = {panel: Group(panel, sort_key=place) for place, panel in enumerate(_PANELS)}
+
+
+def verb(arguments: Callable[P, Asked]) -> Callable[[Callable[[Asked], R]], Callable[P, R]]:
+    """Make a function of an argument class one that takes the fields of the class."""
+
+    def give(run: Callable[[Asked], R]) -> Callable[P, R]:
+        @functools.wraps(run)
+        def call(*given: P.args, **named: P.kwargs) -> R:
+            _require_known(run.__name__, arguments, named)
+            asked = arguments(*given, **named)
+            with _prepared(asked):
+                return run(asked)
+
+        shown: Any = call
+        shown.arguments = arguments
+        shown.__signature__ = _signature(arguments, run)
+        return call
+
+    return give
+
+
+def command(function: Callable[..., Any]) -> Callable[[Callable[[Asked], int | None]], Callable[..., Any]]:
+    """Make the command of a verb from what prints its results; help and flags are those of the verb."""
+    arguments = function.arguments  # type: ignore[attr-defined]
+
+    def give(show: Callable[[Asked], int | None]) -> Callable[..., Any]:
+        def run(*given: Any, **named: Any) -> int | None:
+            asked = asked_from(arguments, given, named)
+            with _prepared(asked):
+                return show(asked)
+
+        shown: Any = run
+        shown.__doc__, shown.__name__ = function.__doc__, function.__name__
+        parameters = _flags(arguments)
+        shown.__signature__ = inspect.Signature(parameters)
+        shown.__annotations__ = {each.name: each.annotation for each in parameters}
+        return run
+
+    return give
+
+
+def asked_from(arguments: Any, given: tuple[Any, ...], named: dict[str, Any]) -> Any:
+    """Return the arguments of a typed command: words without a flag in order, the last of them many."""
+    ordered = [field.name for field in dataclasses.fields(arguments) if not field.kw_only]
+    if ordered and _is_many(hints_of(arguments)[ordered[-1]]):
+        *ordered, many = ordered
+        named = {**named, many: given[len(ordered) :]}
+    return arguments(**dict(zip(ordered, given, strict=False)), **named)
+
+
+def _is_many(hint: Any) -> bool:
+    return get_origin(hint) is tuple
+
+
+@contextlib.contextmanager
+def _prepared(asked: Any) -> Iterator[None]:
+    """Let what the verb reads keep to its limits, and libraries to our threads."""
+    from vntoolkit.io.files import limited_to
+    from vntoolkit.options.footage import ReadingLimits
+
+    _require_new_outputs(asked)
+    limits = {name: getattr(asked, name) for name in hints_of(ReadingLimits) if hasattr(asked, name)}
+    with limited_to(ReadingLimits(**limits)), thread_policy():
+        yield
+
+
+def _require_known(name: str, arguments: Any, named: dict[str, Any]) -> None:
+    """Raise `BadInput` for a keyword that the verb does not have, with the one that may be meant."""
+    known = [field.name for field in _fields(arguments)]
+    for given in named:
+        if given not in known:
+            require_no_removed(f"--{given.replace('_', '-')}")
+            close = difflib.get_close_matches(given, known, n=1)
+            hint = f"; did you mean {close[0]}?" if close else ""
+            raise BadInput(f"{name}: unknown option {given}{hint}")
+
+
+def _signature(arguments: Any, run: Callable[..., Any]) -> inspect.Signature:
+    hints = hints_of(arguments)
+    parameters = [
+        inspect.Parameter(
+            field.name,
+            _kind(field),
+            default=_default(field),
+            annotation=hints[field.name],
+        )
+        for field in _fields(arguments)
+    ]
+    return inspect.Signature(parameters, return_annotation=inspect.signature(run).return_annotation)
+
+
+def _fields(arguments: Any) -> list[Any]:
+    """Return the fields that a verb takes: those without a flag first, then its own, then the inherited."""
+    hints, kinds = hints_of(arguments), arguments.__mro__
+    taken = [
+        field
+        for field in dataclasses.fields(arguments)
+        if field.name not in arguments.WITHOUT and not dataclasses.is_dataclass(hints[field.name])
+    ]
+
+    def place(field: Any) -> tuple[bool, int]:
+        return field.kw_only, next(
+            i for i, kind in enumerate(kinds) if field.name in vars(kind).get("__annotations__", {})
+        )
+
+    return sorted(taken, key=place)
+
+
+def _kind(field: Any) -> Any:
+    return inspect.Parameter.KEYWORD_ONLY if field.kw_only else inspect.Parameter.POSITIONAL_OR_KEYWORD
+
+
+def _default(field: Any) -> Any:
+    return inspect.Parameter.empty if field.default is dataclasses.MISSING else field.default
+
+
+def _flags(arguments: Any) -> list[inspect.Parameter]:
+    """Return the parameters from which cyclopts makes the flags of a verb."""
+    hints, docs = hints_of(arguments), meanings_of_fields(arguments)
+    flags = []
+    for field in sorted(_fields(arguments), key=lambda field: field.kw_only):
+        hint, kind, default = hints[field.name], _kind(field), _default(field)
+        if not field.kw_only and _is_many(hint):
+            hint, kind, default = get_args(hint)[0], inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.empty
+        hint = _type_of_flag(hint)
+        is_tuple = any(get_origin(member) is tuple for member in members_of(hint))
+        parameter = Parameter(
+            help=docs[field.name],
+            group=_GROUPS[_PANEL_OF.get(field.name, "Method")],
+            negative=None if default is True else (),
+            negative_iterable=(),  # --exclude A B, and no --empty-exclude
+            consume_multiple=True if is_tuple else None,
+        )
+        flags.append(
+            inspect.Parameter(field.name, kind, default=default, annotation=Annotated[hint, parameter])
+        )
+    return sorted(flags, key=lambda flag: flag.kind)
+
+
+def _type_of_flag(hint: Any) -> Any:
+    """Return what a flag takes: an enum without the names, a path without the texts that stand for it."""
+    members = [member for member in members_of(hint) if get_origin(member) is not Literal]
+    if os.PathLike[str] in members:
+        dropped = (str, os.PathLike[str]) if Path in members else (os.PathLike[str],)
+        members = [member for member in members if member not in dropped]
+    return Union[tuple(members)]  # noqa: UP007
+
+
+@functools.cache
+def meanings_of_fields(arguments: Any) -> dict[str, str]:
+    """Return the docstring beneath each field of a class and of those it inherits from."""
+    meanings: dict[str, str] = {}
+    for kind in reversed(arguments.__mro__):
+        if not dataclasses.is_dataclass(kind):
+            continue
+        source: Any = kind
+        body = ast.parse(textwrap.dedent(inspect.getsource(source))).body[0]
+        assert isinstance(body, ast.ClassDef)
+        for field, below in pairwise(body.body):
+            if isinstance(field, ast.AnnAssign) and isinstance(below, ast.Expr):
+                meanings[ast.unparse(field.target)] = " ".join(ast.literal_eval(below.value).split())
+    missing = [field.name for field in _fields(arguments) if field.name not in meanings]
+    if missing:
+        raise KeyError(f"{arguments.__name__}: no docstring beneath {', '.join(missing)}")
+    return meanings
+
+
+def _require_new_outputs(asked: Any) -> None:
+    """Raise `BadInput` where a verb would write over what it reads, or under a name that cannot be.
+
+    In a folder of footage, only a picture would be taken for one of its frames.
+    """
+    given = {field.name: getattr(asked, field.name) for field in dataclasses.fields(asked)}
+    flags = {field.name for field in dataclasses.fields(asked) if field.kw_only}
+    written = {
+        name: path
+        for name, path in given.items()
+        if name in _OUTPUTS and name in flags and isinstance(path, Path)
+    }
+    kind: Any = type(asked)
+    read = [
+        (name, str(path))
+        for name, hint in hints_of(kind).items()
+        if name not in written and (name == "footage" or "PathLike" in str(hint))
+        for path in (given[name] if isinstance(given[name], tuple) else (given[name],))
+        if path is not None and str(path)
+    ]
+    for name, out in written.items():
+        if any("\udc80" <= letter <= "\udcff" for letter in str(out)):
+            raise BadInput(f"{out}: expected a name in UTF-8, which other programs can open")
+        for flag, path in read if os.path.isfile(out) else ():  # noqa: PTH113 - never raises
+            folder = path if os.path.exists(path) else os.path.dirname(path)  # noqa: PTH110, PTH120 - a pattern
+            is_frame = out.suffix.lower() in _PICTURES and _is_same(out.parent, folder)
+            if is_frame or _is_same(out, path):
+                raise BadInput(
+                    f"{out}: would be written over, but {flag} reads it; choose another "
+                    f"--{name.replace('_', '-')}"
+                )
+
+
+def _is_same(one: Path | str, other: Path | str) -> bool:
+    with contextlib.suppress(OSError, ValueError):
+        return os.path.samefile(one, other or ".")  # noqa: PTH121
+    return False

@@ -1,0 +1,164 @@
+"""How a rig is fitted to a ball, a board, known lights or presses."""
+
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from vntoolkit.checks import require_in_range, require_positive
+from vntoolkit.errors import BadInput
+from vntoolkit.options.base import Named, Options, named
+from vntoolkit.photometry.response import HIGHEST_DEGREE
+
+
+class ResponseModel(Enum):
+    """Unknowns of the fit."""
+
+    LINEAR = "linear"  # 3×3: r = M n
+    AMBIENT = "ambient"  # 3×4: r = M n + a
+
+
+ResponseModelName: TypeAlias = Literal["linear", "ambient"]
+
+
+class FitMethod(Enum):
+    """How outliers are left out."""
+
+    TRIMMED = "trimmed"  # least squares, repeated without shadow and outliers: few bad pairs
+    MSAC = "msac"  # minimal samples with a truncated cost: many bad pairs
+
+
+FitMethodName: TypeAlias = Literal["trimmed", "msac"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ResponseFitOptions(Options):
+    """Options of the fit of a light response."""
+
+    model: Named[ResponseModel, ResponseModelName] = named(ResponseModel.LINEAR)
+    """With or without ambient light."""
+    method: Named[FitMethod, FitMethodName] = named(FitMethod.TRIMMED)
+    """How outliers are left out."""
+    shadow_share: float = 0.08
+    """(trimmed) a pair counts as shadowed if a channel's estimated contribution is at most this fraction of
+    its largest; 0 keeps shadowed pairs."""
+    outlier_sigmas: float = 3.0
+    """(trimmed) pairs whose colour residual exceeds this many robust standard deviations are outliers (gloss
+    or cast shadow)."""
+    inlier_share: float = 0.08
+    """(MSAC) largest residual of an inlier, divided by the median length of the colours."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 0 <= self.shadow_share < 1:
+            raise BadInput(f"shadow share: expected 0 to 1, got {self.shadow_share:g}")
+        if not (0 < self.outlier_sigmas < np.inf and 0 < self.inlier_share < np.inf):
+            raise BadInput("outlier sigmas and inlier share: expected positive numbers")
+
+
+@dataclass(frozen=True, kw_only=True)
+class IntrinsicsOptions(Options):
+    """Options of the camera fit."""
+
+    radial_terms: int = 1
+    """Coefficients of radial distortion, 0 to 2; higher ones follow noise where the corners do not reach the
+    image's edge."""
+    tangential: int = 0
+    """Number of tangential coefficients, 0 or 2."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.radial_terms not in (0, 1, 2) or self.tangential not in (0, 2):
+            raise BadInput("intrinsics: expected 0 to 2 radial and 0 or 2 tangential terms")
+
+
+@dataclass(frozen=True, kw_only=True)
+class BoardOptions(Options):
+    """Options of the calibration on a board."""
+
+    largest_error_px: float = 1.0
+    """A frame whose corners miss their projection by more than this root mean square is left out."""
+    degree: int = 0
+    """Degree of the polynomials by which M varies over the image, as near lights make it, 0 (one M for the
+    whole image) to 3; more than 0 needs a board that was carried through the whole field."""
+    intrinsics: IntrinsicsOptions = field(default_factory=IntrinsicsOptions)
+    """How the camera is fitted where none is given."""
+    fit: ResponseFitOptions = field(default_factory=ResponseFitOptions)
+    """How M is fitted."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_positive(self.largest_error_px, "board: largest error in pixels")
+        require_in_range(self.degree, 0, HIGHEST_DEGREE, "board: degree of the variation")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SphereOptions(Options):
+    """Options of the calibration on a ball."""
+
+    rim_share: float = 0.02
+    """Outer share of the ball's radius that is left out, where a pixel of error in the outline turns the
+    normal by tens of degrees."""
+    fit: ResponseFitOptions = field(default_factory=ResponseFitOptions)
+    """How M is fitted."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 0 <= self.rim_share < 0.5:
+            raise BadInput(f"rim share: expected 0 to 0.5, got {self.rim_share:g}")
+
+
+class LightColours(Enum):
+    """Which colours the lights have."""
+
+    GIVEN = "given"  # each row of intensities is the light's red, green and blue
+    CHANNELS = "channels"  # light k alone is seen by channel k: three photographs stacked as one
+
+
+LightColoursName: TypeAlias = Literal["given", "channels"]
+
+
+class LabelOffset(Enum):
+    """Whether the circles are used as they are, or moved so that ball and flat gel agree."""
+
+    COMMON = "common"  # by one offset for all, then each by its own
+    OWN = "own"  # each by its own, as for circles that were found in the pictures
+    NONE = "none"
+
+
+LabelOffsetName: TypeAlias = Literal["common", "own", "none"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class PressOptions(Options):
+    """Options of the calibration on presses."""
+
+    ball_radius_mm: float
+    """Radius of the ball."""
+    pixel_mm: float
+    """Side of a pixel on the gel."""
+    contact_share: float = 0.8
+    """Share of the labelled contact radius inside which the gel follows the ball."""
+    samples: int = 400
+    """Pixels drawn from a press's contact."""
+    flat_share: float = 0.67
+    """Pixels drawn where the gel lies flat, over those of the contact; more make the gel around a touch
+    flatter and the ball less round."""
+    label_offset: Named[LabelOffset, LabelOffsetName] = named(LabelOffset.COMMON)
+    """Whether the circles move to their dents."""
+    outlier_sigmas: float = 4.0
+    """Pixels whose colour differs from M's by more than this many robust standard deviations (dots, creases)
+    are left out of M's fit."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not (0 < self.ball_radius_mm < np.inf and 0 < self.pixel_mm < np.inf):
+            raise BadInput("presses: expected a positive ball radius and pixel size in mm")
+        if not 0 < self.contact_share <= 1:
+            raise BadInput(f"presses: expected a contact share from 0 to 1, got {self.contact_share:g}")
+        if self.samples < 4:
+            raise BadInput(f"presses: expected at least 4 samples a press, got {self.samples}")
+        require_positive(self.outlier_sigmas, "presses: outlier sigmas")
+        if not 0 <= self.flat_share <= 10:
+            raise BadInput(f"presses: expected a flat share from 0 to 10, got {self.flat_share:g}")

@@ -1,0 +1,83 @@
+"""How normals become depth, and depth triangles."""
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import Literal, TypeAlias
+
+from vntoolkit.checks import require_in_range
+from vntoolkit.errors import BadInput
+from vntoolkit.options.base import Named, Options, named
+
+
+class Integrator(Enum):
+    """How slopes become depth.
+
+    FOURIER: Frankot and Chellappa's projection on a mirrored image; full rectangle.
+    COSINE: least squares by the discrete cosine transform; full rectangle; the fastest.
+    POISSON: least squares inside any mask, weighted by confidence.
+    DISCONTINUITY: inside any mask, weighted; depth may jump where the normals suggest it.
+    """
+
+    FOURIER = "fourier"
+    COSINE = "cosine"
+    POISSON = "poisson"
+    DISCONTINUITY = "discontinuity"
+
+
+IntegratorName: TypeAlias = Literal["fourier", "cosine", "poisson", "discontinuity"]
+
+
+class Precision(Enum):
+    """Floating point format of the spectral integrators: SINGLE is exact to about 1e-6 of the range."""
+
+    SINGLE = "single"
+    DOUBLE = "double"
+
+
+PrecisionName: TypeAlias = Literal["single", "double"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class IntegrationOptions(Options):
+    """Options of `DepthIntegrator`."""
+
+    integrator: Named[Integrator | None, IntegratorName | None] = named(None)
+    """How slopes become depth: fourier or cosine over a full rectangle, poisson inside any mask, or
+    discontinuity, which lets depth jump where the normals suggest it; by default cosine where every pixel is
+    used, else poisson."""
+    steepest_slope_deg: float = 89.0
+    """Angle in degrees between a normal and the way to the camera beyond which slopes are held at that angle;
+    keeps grazing and backward normals from exploding."""
+    least_weight: float = 0.02
+    """Pixels of lower confidence leave the domain (0 to 1)."""
+    precision: Named[Precision, PrecisionName] = named(Precision.SINGLE)
+    """Floating-point precision of cosine and fourier."""
+    tolerance: float = 1e-5
+    """Relative residual at which poisson stops."""
+    most_iterations: int = 1000
+    """Most iterations of poisson; reaching them is an error."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_in_range(self.steepest_slope_deg, 1.0, 89.9, "steepest slope in degrees")
+        require_in_range(self.least_weight, 0.0, 1.0, "least weight")
+        require_in_range(self.tolerance, 1e-12, 1e-2, "tolerance of the linear solver")
+        require_in_range(self.most_iterations, 1, 100_000, "most iterations")
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeshOptions(Options):
+    """How depth becomes triangles."""
+
+    largest_step: float = 10.0
+    """A triangle whose depths differ by more than this many pixel widths (at its distance) spans a jump and
+    is left out."""
+    stride: int = 1
+    """Use every stride-th pixel in both directions."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.largest_step > 0:
+            raise BadInput(f"largest step: expected a positive number of pixels, got {self.largest_step:g}")
+        if self.stride < 1:
+            raise BadInput(f"stride: expected 1 or more, got {self.stride}")

@@ -1,0 +1,247 @@
+"""How a tracked garment is put on a skeleton."""
+
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from vntoolkit.errors import BadInput
+from vntoolkit.options.base import Named, Options, named
+
+
+class Garment(Enum):
+    """What is dressed. AUTO: trousers where the outline has two legs, else a SWEATER: what has sleeves."""
+
+    AUTO = "auto"
+    SWEATER = "sweater"
+    SLEEVELESS = "sleeveless"
+    TROUSERS = "trousers"
+    SKIRT = "skirt"
+    OVERALL = "overall"
+
+    @property
+    def is_lower(self) -> bool:
+        """Whether it hangs from the waist."""
+        return self in (Garment.TROUSERS, Garment.SKIRT)
+
+
+GarmentName: TypeAlias = Literal["auto", "sweater", "sleeveless", "trousers", "skirt", "overall"]
+
+
+class DepthPlacement(Enum):
+    """Where the bones lie in depth: in the CENTRE of the garment, at its REAR (it was seen from the front
+    only), or AUTO: at the rear of an open sheet, in the centre of a closed garment.
+    """
+
+    AUTO = "auto"
+    CENTRE = "centre"
+    REAR = "rear"
+
+
+DepthPlacementName: TypeAlias = Literal["auto", "centre", "rear"]
+
+
+class ArmPose(Enum):
+    """How the arms are held when the garment is attached: aimed at its SLEEVES, or as in the file's REST."""
+
+    SLEEVES = "sleeves"
+    REST = "rest"
+
+
+ArmPoseName: TypeAlias = Literal["sleeves", "rest"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class GarmentFitOptions(Options):
+    """How the garment is brought onto the figure."""
+
+    garment: Named[Garment, GarmentName] = named(Garment.AUTO)
+    """What it is. Upper garments hang from the neck, and their sleeves on the arms: sweater stands for shirts
+    and jackets too. Sleeveless ones leave the arms alone. Trousers and skirts hang from the waist and follow
+    the legs. auto tells trousers by the outline, but not a skirt."""
+    fullness: float | None = None
+    """Height of the garment over the height of what it covers, hips to neck or hips to feet. Default: 1.3;
+    trousers 1.05, a skirt 0.65."""
+    depth: Named[DepthPlacement, DepthPlacementName] = named(DepthPlacement.AUTO)
+    """Where the bones lie in the garment's depth."""
+    arms: Named[ArmPose, ArmPoseName] = named(ArmPose.SLEEVES)
+    """Pose of the arms when the garment is attached. A fit file that gives a pose or landmarks overrides it.
+    """
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.fullness is not None and not 0 < self.fullness < np.inf:
+            raise BadInput(f"fullness: expected a positive number, got {self.fullness:g}")
+
+
+class Falloff(Enum):
+    """How the weights of a vertex are computed.
+
+    HEAT: by heat that spreads along the cloth from where each bone lies under it, baran2007: a flank does
+    not follow the arm beside it. INVERSE: by 1/distance through the air to the nearest bones, as published;
+    the cloth tears where the set of nearest bones changes, and hangs like a web under a raised arm.
+    """
+
+    HEAT = "heat"
+    INVERSE = "inverse"
+
+
+FalloffName: TypeAlias = Literal["heat", "inverse"]
+
+
+_BONES = {Falloff.HEAT: 8, Falloff.INVERSE: 4}
+
+
+@dataclass(frozen=True, kw_only=True)
+class WeightOptions(Options):
+    """Options of the skinning weights."""
+
+    falloff: Named[Falloff, FalloffName] = named(Falloff.HEAT)
+    """How a vertex weighs its bones: heat, by heat along the cloth; inverse, by the inverse distance as
+    published."""
+    neighbours: int | None = None
+    """Number of bones that a vertex follows. Default: 8 by heat, else the 4 nearest."""
+    exclude: tuple[str, ...] = ()
+    """Joints whose bones get no weight, as names or patterns (`*Hand*`)."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.neighbours is not None and self.neighbours < 1:
+            raise BadInput(f"neighbours: expected at least 1, got {self.neighbours}")
+
+    @property
+    def bones(self) -> int:
+        """Number of bones a vertex follows."""
+        return _BONES[self.falloff] if self.neighbours is None else self.neighbours
+
+
+class Loop(Enum):
+    """What the cloth does after its last frame.
+
+    NONE ends there; REPEAT starts again; PING_PONG plays back and forth, so that nothing jumps.
+    """
+
+    NONE = "none"
+    REPEAT = "repeat"
+    PING_PONG = "ping-pong"
+
+
+LoopName: TypeAlias = Literal["none", "repeat", "ping-pong"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ClockOptions(Options):
+    """Start, end and rate of the result."""
+
+    start: float = 0.0
+    """Second of the motion at which the result begins."""
+    stop: float | None = None
+    """Second of the motion at which it ends. Default: the motion's end."""
+    speed: float = 1.0
+    """Seconds of motion per second of result."""
+    loop: Named[Loop, LoopName] = named(Loop.NONE)
+    """What a cloth shorter than the motion does."""
+    frame_rate_hz: float | None = None
+    """Frames per second of the result. Default: the cloth's. Blender plays a file at its scene's rate, 24
+    unless you set it to the file's."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name, value in (("speed", self.speed), ("frame rate", self.frame_rate_hz)):
+            if value is not None and not 0 < value < np.inf:
+                raise BadInput(f"{name}: expected a positive number, got {value:g}")
+        for name, value in (("start", self.start), ("stop", self.stop)):
+            if value is not None and not 0 <= value < np.inf:
+                raise BadInput(f"{name}: expected seconds from 0 on, got {value:g}")
+
+
+class Anchor(Enum):
+    """What of the captured motion is taken out.
+
+    BONES: the rigid motion of the cloth over the trunk, each upper arm and each forearm; folds keep moving.
+    TRUNK: that over the trunk only; captured sleeves swing on top of the figure's. NONE: nothing, the
+    performer's steps stay.
+    """
+
+    BONES = "bones"
+    TRUNK = "trunk"
+    NONE = "none"
+
+
+AnchorName: TypeAlias = Literal["bones", "trunk", "none"]
+
+
+class Blend(Enum):
+    """How a vertex mixes the motions of its bones: LINEAR as published, DUAL_QUATERNION rigidly."""
+
+    LINEAR = "linear"
+    DUAL_QUATERNION = "dual-quaternion"
+
+
+BlendName: TypeAlias = Literal["linear", "dual-quaternion"]
+
+
+FIGURE_HEIGHT_M = 1.65  # toes to crown of an average adult, as skeletons measure it
+
+
+class Carrier(Enum):
+    """What moves the cloth in a USD or GLB.
+
+    SKIN: joint weights and blend shapes. CACHE: every vertex of every frame, exact and large.
+    """
+
+    SKIN = "skin"
+    CACHE = "cache"
+
+
+CarrierName: TypeAlias = Literal["skin", "cache"]
+
+
+class MotionUpAxis(Enum):
+    """Which axis of the motion file points up; AUTO takes the longer of y and z of the rest pose."""
+
+    AUTO = "auto"
+    Y = "y"
+    Z = "z"
+
+
+MotionUpAxisName: TypeAlias = Literal["auto", "y", "z"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class DressOptions(Options):
+    """Options of `dress`, beyond those of its stages."""
+
+    blend: Named[Blend, BlendName] = named(Blend.LINEAR)
+    """How a vertex mixes the motions of its bones."""
+    anchor: Named[Anchor, AnchorName] = named(Anchor.BONES)
+    """What of the captured motion is taken out. bones: that of the performer's trunk and arms, so that the
+    sleeves follow the figure's arms alone; folds keep moving. trunk: that of the trunk, so that captured
+    sleeves swing on top of the figure's. none keeps the performer's steps too."""
+    figure_height: float = FIGURE_HEIGHT_M
+    """Metres from the toes to the crown, for motion files that carry no unit."""
+    up_axis: Named[MotionUpAxis, MotionUpAxisName] = named(MotionUpAxis.AUTO)
+    """Which axis of the motion file points up."""
+    max_stretch: float = 3.0
+    """Largest stretch of a triangle's edge where the parts of two bones meet. A triangle that the motion
+    stretches more is cut: the capture joined what only touched, such as sleeve and flank. 0 cuts nothing;
+    weights by distance cut nothing either."""
+    carrier: Named[Carrier, CarrierName] = named(Carrier.SKIN)
+    """What moves the cloth in USD and GLB: a skin (joint weights, and blend shapes for the folds), or a cache
+    of every vertex in every frame, exact and large. Dual quaternions are written as a cache."""
+    centre: bool = True
+    """The figure begins above the origin of the file and stands on its floor."""
+    map: tuple[str, ...] = ()
+    """Joints of the arms, where their names and lengths do not tell: left-upper-arm=JOINT, left-forearm,
+    left-hand, right-upper-arm and so on; once for each."""
+    fitting: GarmentFitOptions = field(default_factory=GarmentFitOptions)
+    weights: WeightOptions = field(default_factory=WeightOptions)
+    clock: ClockOptions = field(default_factory=ClockOptions)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 0 < self.figure_height < np.inf:
+            raise BadInput(f"figure height: expected positive metres, got {self.figure_height:g}")
+        if self.max_stretch != 0 and not self.max_stretch > 1:
+            raise BadInput(f"max stretch: expected a factor above 1, or 0, got {self.max_stretch:g}")

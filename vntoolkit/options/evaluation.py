@@ -1,0 +1,45 @@
+"""How results are compared with a reference."""
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import Literal, TypeAlias
+
+from vntoolkit.errors import BadInput
+from vntoolkit.options.base import Named, Options, named
+
+
+class MeasuredBy(Enum):
+    """Who measures distances."""
+
+    EMBREE = "embree"  # the exact nearest point, however far, through Open3D
+    PYMESHLAB = "pymeshlab"  # MeshLab's own search, to compare with
+
+
+MeasuredByName: TypeAlias = Literal["embree", "pymeshlab"]
+
+
+class Alignment(Enum):
+    """Which motion aligns the meshes."""
+
+    NONE = "none"
+    RIGID = "rigid"
+    SIMILARITY = "similarity"  # and one scale: that of a perspective camera's depth
+
+
+AlignmentName: TypeAlias = Literal["none", "rigid", "similarity"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class AlignmentOptions(Options):
+    """How meshes are aligned."""
+
+    align: Named[Alignment, AlignmentName] = named(Alignment.NONE)
+    """What may move: nothing, position and orientation (rigid), or the scale too (similarity)."""
+    samples: int = 20000
+    """Vertices that are paired."""
+
+    def __post_init__(self) -> None:
+        """Refuse what leaves nothing to align by."""
+        super().__post_init__()
+        if self.samples < 3:
+            raise BadInput(f"alignment: expected at least 3 samples, got {self.samples}")

@@ -1,0 +1,155 @@
+"""Formats, axes and units of exported files."""
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import Literal, TypeAlias
+
+from vntoolkit.errors import BadInput
+from vntoolkit.options.base import Named, Options, named
+
+
+class NormalConvention(Enum):
+    """Axes of a normal map file.
+
+    OPENGL: x right, y up, z towards the viewer (Blender, DiLiGenT, ours; the default). DIRECTX: the same with
+    y down (green flipped). OPENCV: x right, y down, z away from the viewer, the camera frame itself.
+    """
+
+    OPENGL = "opengl"
+    DIRECTX = "directx"
+    OPENCV = "opencv"
+
+    @property
+    def signs(self) -> tuple[float, float, float]:
+        """Factors of x, y, z between the camera frame and this convention; their own inverse."""
+        return {"opengl": (1.0, -1.0, -1.0), "directx": (1.0, 1.0, -1.0), "opencv": (1.0, 1.0, 1.0)}[
+            self.value
+        ]
+
+
+NormalConventionName: TypeAlias = Literal["opengl", "directx", "opencv"]
+
+
+class MeshUpAxis(Enum):
+    """Which axis of a mesh file points up.
+
+    Y: x right, y up, z towards the viewer (ours, MeshLab's, glTF's; the default). Z: x right, y away from the
+    viewer, z up (Blender's own, CAD's, robotics').
+    """
+
+    Y = "y"
+    Z = "z"
+
+    @property
+    def meaning(self) -> str:
+        """The three axes in words."""
+        if self is MeshUpAxis.Y:
+            return "x right, y up, z towards the viewer"
+        return "x right, y away from the viewer, z up"
+
+
+MeshUpAxisName: TypeAlias = Literal["y", "z"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class CleanOptions(Options):
+    """What to clean."""
+
+    smallest_piece: int = 100
+    """Connected pieces with fewer triangles are removed; 0 for none."""
+    largest_hole: int = 30
+    """Holes with at most this many boundary edges are closed; 0 for none."""
+    most_faces: int | None = None
+    """Reduce to this many triangles by quadric edge collapse; default: keep all."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if min(self.smallest_piece, self.largest_hole) < 0:
+            raise BadInput("cleaning: expected smallest piece and largest hole of 0 or more")
+        if self.most_faces is not None and self.most_faces < 1:
+            raise BadInput(f"cleaning: expected at least one triangle to remain, got {self.most_faces}")
+
+
+class ExportFormat(Enum):
+    """Format of an export."""
+
+    PLY = "ply"  # a mesh a frame
+    OBJ = "obj"  # a mesh a frame
+    USD = "usd"  # one animated file
+    GLB = "glb"  # one animated file of a registered surface, else one a frame
+    POINTS = "points"  # a point cloud a frame, .ply: one point a pixel that has a depth
+    NPZ = "npz"  # arrays: one file a frame, and one of a registered surface
+    DILIGENT = "diligent"  # one folder a frame, laid out like the benchmark's
+    PNG = "png"  # 16-bit normal maps
+
+
+ExportFormatName: TypeAlias = Literal["ply", "obj", "usd", "glb", "points", "npz", "diligent", "png"]
+
+
+class ExportedSurface(Enum):
+    """Which meshes: of one topology, or a new one every frame."""
+
+    AUTO = "auto"  # the registered surface where there is one
+    TRACKED = "tracked"
+    FRAMES = "frames"
+
+
+ExportedSurfaceName: TypeAlias = Literal["auto", "tracked", "frames"]
+
+
+class FileUnit(Enum):
+    """Length unit of exported files."""
+
+    M = "m"
+    CM = "cm"
+    MM = "mm"
+
+    @property
+    def metres(self) -> float:
+        """Its length."""
+        return {"m": 1.0, "cm": 0.01, "mm": 0.001}[self.value]
+
+
+FileUnitName: TypeAlias = Literal["m", "cm", "mm"]
+
+
+_OF_MESHES = (ExportFormat.PLY, ExportFormat.OBJ, ExportFormat.USD, ExportFormat.GLB)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExportOptions(Options):
+    """Options of an export."""
+
+    to: ExportFormat
+    """The format. usd: one animated file (set the frame rate of Blender's scene to the capture's, since
+    Blender keeps its own). glb: one animated file of a registered surface, else one a frame. ply, obj: a mesh
+    a frame. points: a point cloud a frame as .ply, of all pixels with a depth. npz: arrays. png: 16-bit
+    normal maps. diligent: a folder a frame, laid out like the benchmark's."""
+    normal_convention: Named[NormalConvention, NormalConventionName] = named(NormalConvention.OPENGL)
+    """Axes of normal maps (png, npz, diligent)."""
+    units: Named[FileUnit | None, FileUnitName | None] = named(None)
+    """Length unit of the files, for a result that has a scale. Default: metres; without a scale, lengths stay
+    as they are."""
+    up: Named[MeshUpAxis, MeshUpAxisName] = named(MeshUpAxis.Y)
+    """Axis that points up in meshes."""
+    scale: float | None = None
+    """Metres for a length of 1 in a result that has no scale of its own (lengths in pixels, or free)."""
+    mesh: Named[ExportedSurface, ExportedSurfaceName] = named(ExportedSurface.AUTO)
+    """Which meshes: tracked (the registered surface), frames (those of each frame), or auto (the registered
+    one where there is one)."""
+    centre: bool = True
+    """Move the registered surface so that its template stands above the origin, its hem on the floor; the
+    file's camera is where it was, seen from there."""
+    cleaning: CleanOptions | None = None
+    """What is cleaned of the frames' meshes; None for nothing."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.scale is not None and not self.scale > 0:
+            raise BadInput(f"scale: expected a positive number of metres, got {self.scale:g}")
+        if self.to is ExportFormat.GLB and (
+            self.up is not MeshUpAxis.Y or self.units not in (None, FileUnit.M)
+        ):
+            raise BadInput("a GLB has metres and y up by its standard: leave out --units and --up")
+        if self.cleaning is not None and self.to not in _OF_MESHES:
+            raise BadInput(f"cleaning is for meshes, and {self.to.value} has none: leave out --clean")

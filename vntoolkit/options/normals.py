@@ -1,0 +1,57 @@
+"""How colours become normals, and how shadows are found and filled."""
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import Literal, TypeAlias
+
+from vntoolkit.checks import require_positive
+from vntoolkit.errors import BadInput
+from vntoolkit.options.base import Named, Options, named
+
+
+class ClippedPixels(Enum):
+    """How pixels with a saturated channel are treated."""
+
+    DOWNWEIGHT = "downweight"  # a normal stays, at a tenth of its weight, so that the domain has no hole
+    EXCLUDE = "exclude"
+
+
+ClippedPixelsName: TypeAlias = Literal["downweight", "exclude"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class InversionOptions(Options):
+    """How colours become normals."""
+
+    relative_albedo: float = 1.0
+    """Expected length of M⁻¹(r − a), the surface's albedo over the calibration material's (1 if it is the
+    same material; `relative_albedo_from_frame` measures it)."""
+    albedo_tolerance: float = 0.25
+    """Relative departure from the expected albedo that halves a pixel's weight."""
+    darkest: float = 0.05
+    """Share of the expected albedo below which a pixel is black and has no normal."""
+    clipped: Named[ClippedPixels, ClippedPixelsName] = named(ClippedPixels.DOWNWEIGHT)
+    """What becomes of saturated pixels."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_positive(self.relative_albedo, "relative albedo")
+        require_positive(self.albedo_tolerance, "albedo tolerance")
+        if not 0 < self.darkest < 1:
+            raise BadInput(f"darkest: expected a share between 0 and 1, got {self.darkest:g}")
+
+    @property
+    def clipped_factor(self) -> float:
+        """The factor on a clipped pixel's weight; 0 excludes it."""
+        return 0.1 if self.clipped is ClippedPixels.DOWNWEIGHT else 0.0
+
+
+class ShadowMethod(Enum):
+    """How self-shadows are found."""
+
+    NONE = "none"  # every pixel counts as lit by all three lights
+    PUBLISHED = "published"  # edges and flood fill, brostow2011
+    ROBUST = "robust"  # comparison with predicted normals, graph cut
+
+
+ShadowMethodName: TypeAlias = Literal["none", "published", "robust"]

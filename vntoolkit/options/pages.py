@@ -1,0 +1,94 @@
+"""What pages show, where they are served, and what a camera is asked for."""
+
+import math
+from dataclasses import dataclass
+from enum import Enum
+from typing import Literal, TypeAlias
+
+from vntoolkit.errors import BadInput
+from vntoolkit.options.base import Options
+
+
+@dataclass(frozen=True, kw_only=True)
+class ViewerOptions(Options):
+    """Where the page is served."""
+
+    host: str = "127.0.0.1"
+    """Address to listen on; 127.0.0.1 is seen by this machine only, 0.0.0.0 by the whole network."""
+    port: int = 8080
+    """Port of the page; the next free one is taken where it is in use."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 0 < self.port < 65536:
+            raise BadInput(f"port: expected 1 to 65535, got {self.port}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScenePageOptions(Options):
+    """How much of a reconstruction goes into an offline page."""
+
+    vertices: int = 12_000
+    """Most vertices of a frame's mesh on the page of --html; finer ones are thinned."""
+    picture_px: int = 640
+    """Longest side of that page's pictures, pixels."""
+    most_frames: int = 150
+    """Most frames on that page, evenly spread over those there are; 12,000 vertices and four pictures of 640
+    pixels take about 0.3 MB a frame."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.vertices < 4 or self.picture_px < 1 or self.most_frames < 1:
+            raise BadInput("scene: expected at least 4 vertices, one pixel and one frame")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReportOptions(Options):
+    """What the report shows."""
+
+    samples: int = 4
+    """Frames shown as pictures, evenly spread."""
+    picture_height: int = 300
+    """Most pixels that each of them is high."""
+    footage: str = ""
+    """Where the footage is now, if not where it was when it was reconstructed."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.samples < 1 or self.picture_height < 1:
+            raise BadInput("report: expected at least one sample frame and one pixel")
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraOptions(Options):
+    """What is asked of a camera, which gives the nearest that it can."""
+
+    width: int = 1280
+    """Width in pixels of the picture that the camera is asked for; after crop and rectification it must be
+    the rig's. Not for a video, which has its own."""
+    height: int = 720
+    """The same for the height."""
+    rate: float = 30.0
+    """Frames a second that the camera is asked for; a video plays at its own with --realtime, else as fast as
+    it can be read."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.width < 1 or self.height < 1 or not 0 < self.rate < math.inf:
+            raise BadInput(
+                "camera: expected a positive width, height and rate, got "
+                f"{self.width}×{self.height} pixels and {self.rate:g} a second"
+            )
+
+
+class PageSize(Enum):
+    """Paper, (width, height) in millimetres, upright."""
+
+    A4 = (210.0, 297.0)
+    A3 = (297.0, 420.0)
+    A2 = (420.0, 594.0)
+    LETTER = (215.9, 279.4)
+    TABLOID = (279.4, 431.8)
+
+
+PageSizeName: TypeAlias = Literal["a4", "a3", "a2", "letter", "tabloid"]

@@ -1,0 +1,102 @@
+"""How far a reconstruction goes, and what it assumes of the subject."""
+
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Literal, TypeAlias
+
+from vntoolkit.errors import BadInput
+from vntoolkit.options.base import Named, Options, named
+from vntoolkit.options.depth import IntegrationOptions, MeshOptions
+from vntoolkit.options.normals import InversionOptions, ShadowMethod, ShadowMethodName
+
+MOST_MATERIALS = 12
+
+
+class Product(Enum):
+    """How far a reconstruction goes; each includes the ones before it."""
+
+    NORMALS = "normals"
+    DEPTH = "depth"
+    MESH = "mesh"
+
+
+ProductName: TypeAlias = Literal["normals", "depth", "mesh"]
+
+
+class OnError(Enum):
+    """What a frame that fails does to the run."""
+
+    STOP = "stop"
+    SKIP = "skip"  # the frame is left out, and named in the manifest and at the end
+
+
+OnErrorName: TypeAlias = Literal["stop", "skip"]
+
+
+class MaterialSearch(Enum):
+    """How many materials the subject has, where no number is given."""
+
+    AUTO = "auto"  # as many as are found; the rig's alone where it does not hold its lamps' colours
+    CALIBRATED = "calibrated"  # one: what the rig was calibrated on
+
+
+MaterialSearchName: TypeAlias = Literal["auto", "calibrated"]
+
+
+class DepthOffset(Enum):
+    """How the constant that normals leave free is fixed, frame by frame."""
+
+    REFERENCE = "reference"  # so that depth rests where the subject does: tied to the first frame
+    MEAN = "mean"  # mean depth 0 (perspective: 1) over every connected part
+
+
+DepthOffsetName: TypeAlias = Literal["reference", "mean"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReconstructOptions(Options):
+    """Options of `reconstruct`, with those of its stages.
+
+    A rig fitted to presses on a gel turns materials and shadows off: it is the gel's own.
+    """
+
+    to: Named[Product, ProductName] = named(Product.MESH)
+    """How far to go; each includes what comes before it."""
+    distance_m: float | None = None
+    """Distance in metres from a perspective camera to the subject, along the optical axis. It fixes the scale
+    that normals alone leave free."""
+    materials: Named[MaterialSearch | int, MaterialSearchName | int] = named(MaterialSearch.AUTO)
+    """How many materials the subject has: a number, or auto to find as many as there are, or calibrated for
+    the calibration material alone. The first frames tell their reflectances. A rig without the colours of its
+    lamps knows the calibration material alone."""
+    shadows: Named[ShadowMethod, ShadowMethodName] = named(ShadowMethod.ROBUST)
+    """Method that finds where the subject shadows itself: robust, published (the paper's detector) or none.
+    The surface in shadow is then recovered, and visibility labels are written."""
+    depth_offset: Named[DepthOffset, DepthOffsetName] = named(DepthOffset.REFERENCE)
+    """How the free constant of the depth is fixed. reference ties every frame to one, so that depth rests
+    where the subject does. mean gives every connected part a mean depth of 0 (perspective: 1)."""
+    reference_frame: int | None = None
+    """The frame that depth is tied to, and that tells noise and blur of materials' seams. Default: the first
+    of the run that makes the folder."""
+    smoothing: float = 0.0
+    """Average a pixel with the frames before and after where its colour differs by less than this share of
+    full scale. 0 is off; about 3 times the noise is useful."""
+    on_error: Named[OnError, OnErrorName] = named(OnError.STOP)
+    """What a frame that fails does: stop the run, or skip the frame and name it at the end."""
+    inversion: InversionOptions = field(default_factory=InversionOptions)
+    integration: IntegrationOptions = field(default_factory=IntegrationOptions)
+    meshing: MeshOptions = field(default_factory=MeshOptions)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.distance_m is not None and not self.distance_m > 0:
+            raise BadInput(f"distance: expected a positive number of metres, got {self.distance_m:g}")
+        if not isinstance(self.materials, MaterialSearch) and not 1 <= self.materials <= MOST_MATERIALS:
+            raise BadInput(
+                f"materials: expected auto, calibrated or a number from 1 to {MOST_MATERIALS}, got "
+                f"{self.materials}"
+            )
+        if not 0 <= self.smoothing <= 1:
+            raise BadInput(f"smoothing: expected a share of full scale from 0 to 1, got {self.smoothing:g}")
+        if self.reference_frame is not None and self.reference_frame < 0:
+            raise BadInput(f"reference frame: expected a frame number, got {self.reference_frame}")

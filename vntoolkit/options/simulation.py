@@ -1,0 +1,190 @@
+"""What is filmed by the simulator, and what spoils its picture."""
+
+from dataclasses import dataclass, fields, replace
+from enum import Enum
+from typing import Literal, TypeAlias
+
+from vntoolkit.checks import require_in_range
+from vntoolkit.errors import BadInput
+from vntoolkit.options.base import Named, Options, named
+from vntoolkit.photometry.transfer import Transfer
+
+
+class Lighting(Enum):
+    """Which lamps are on: the coloured ones, all or one alone, or a white lamp at one of the three places."""
+
+    COLOURED = "coloured"
+    RED = "red"
+    GREEN = "green"
+    BLUE = "blue"
+    WHITE_1 = "white-1"
+    WHITE_2 = "white-2"
+    WHITE_3 = "white-3"
+
+
+LightingName: TypeAlias = Literal["coloured", "red", "green", "blue", "white-1", "white-2", "white-3"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneOptions(Options):
+    """Options of every scene."""
+
+    width: int = 640
+    """Image size in pixels."""
+    height: int = 480
+    """Image size in pixels."""
+    seed: int = 0
+    """Seed of the scene's own randomness (motion, texture)."""
+    lighting: Named[Lighting, LightingName] = named(Lighting.COLOURED)
+    """The coloured lamps together, or a white lamp in one of the three places."""
+    field_width_m: float | None = None
+    """Width of the field of view at the subject, metres. Default: the scene's own. The board is printed in
+    proportion, so that one zoom films the board and another scene."""
+    sample: str | None = None
+    """Scene whose material lies in the board's hole. Default: a grey cloth or paper."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.width < 16 or self.height < 16:
+            raise BadInput(f"simulate: expected an image of at least 16×16, got {self.width}×{self.height}")
+        if self.field_width_m is not None and not 0.01 <= self.field_width_m <= 5.0:
+            raise BadInput(f"simulate: expected a field of 0.01 to 5 m across, got {self.field_width_m:g} m")
+
+
+@dataclass(frozen=True, kw_only=True)
+class RenderOptions(Options):
+    """How a frame is rendered."""
+
+    samples: int = 5
+    """Rays per pixel: 1, 5 or 9."""
+    threads: int = 0
+    """For ray casting, 0 = all cores."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.samples not in (1, 5, 9):
+            raise BadInput(f"samples: expected 1, 5 or 9 per pixel, got {self.samples}")
+
+
+STORED_BITS = (8, 10, 12, 16)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Nuisances(Options):
+    """Effects between surface and file that equation 1 does not model."""
+
+    near_lights: bool = True
+    """The lamps are points, and their light weakens with the square of the distance. Off: light is parallel
+    and of one strength everywhere."""
+    shadows: bool = True
+    """Parts of the subject cast shadows on others."""
+    ambient: bool = True
+    """A little light comes from everywhere."""
+    crosstalk: bool = True
+    """Every channel sees all three lamps. Off: only its own."""
+    texture: bool = True
+    """The reflectance varies over the surface. Off: it is the reference material's everywhere."""
+    gloss: bool = True
+    """Glossy parts of the scene reflect the lamps."""
+    blur_px: float = 0.6
+    """Standard deviation of the lens's blur in pixels, 0 for none."""
+    noise: bool = True
+    """Shot and read noise."""
+    full_well_electrons: float = 15000.0
+    """Electrons that a sensor pixel holds at full scale."""
+    read_noise_electrons: float = 4.0
+    """Standard deviation of the read noise."""
+    bayer: bool = True
+    """A pixel measures one colour and the others are interpolated."""
+    clipping: bool = True
+    """Light above full scale is lost. It matters without quantisation only, since integers clip."""
+    quantisation: bool = True
+    """Samples are rounded to integers. Off: the file has 16 bits."""
+    bits: int = 8
+    """8, 10, 12 or 16 per sample."""
+    transfer: str = "linear"
+    """Curve of the stored values, linear, srgb, bt709 or gamma:G."""
+    black_level: float = 0.0
+    """Linear value that means no light, 0 to 0.5."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_in_range(self.blur_px, 0.0, 20.0, "blur_px")
+        require_in_range(self.full_well_electrons, 1.0, 1e9, "full_well_electrons")
+        require_in_range(self.read_noise_electrons, 0.0, 1e6, "read_noise_electrons")
+        require_in_range(self.black_level, 0.0, 0.5, "black_level")
+        if self.bits not in STORED_BITS:
+            raise BadInput(f"bits: expected one of {', '.join(map(str, STORED_BITS))}, got {self.bits}")
+        Transfer.from_text(self.transfer)
+
+    @property
+    def file_transfer(self) -> Transfer:
+        """The transfer that a reader of the file must undo."""
+        return replace(Transfer.from_text(self.transfer), black_level=self.black_level)
+
+    @property
+    def file_bits(self) -> int:
+        """Significant bits of the file's samples."""
+        return self.bits if self.quantisation else 16
+
+    @classmethod
+    def none(cls) -> "Nuisances":
+        """Return the model of equation 1: every nuisance off (attached shadow remains)."""
+        nuisances = cls()
+        for name in _SWITCHES:
+            nuisances = nuisances.without(name)
+        return nuisances
+
+    def without(self, name: str) -> "Nuisances":
+        """Return these with one turned off. name: a boolean field's, or `blur_px`, or `transfer`."""
+        if name not in _SWITCHES:
+            raise BadInput(f"nuisance '{name}': expected one of {', '.join(_SWITCHES)}")
+        return replace(self, **{name: _SWITCHES[name]})  # type: ignore[arg-type]
+
+    def only(self, name: str) -> "Nuisances":
+        """Return the model of equation 1 with only this nuisance on (noise with its levels)."""
+        alone = replace(
+            Nuisances.none(),
+            bits=self.bits,
+            full_well_electrons=self.full_well_electrons,
+            read_noise_electrons=self.read_noise_electrons,
+        )
+        if name not in _SWITCHES:
+            raise BadInput(f"nuisance '{name}': expected one of {', '.join(_SWITCHES)}")
+        return replace(alone, **{name: getattr(self, name)})
+
+
+# nuisance -> the value that turns it off
+_SWITCHES: dict[str, object] = {
+    **{f.name: False for f in fields(Nuisances) if f.type is bool},
+    "blur_px": 0.0,
+    "transfer": "linear",
+}
+
+
+def nuisance_names() -> tuple[str, ...]:
+    """Return the names that can be turned off one at a time."""
+    return tuple(_SWITCHES)
+
+
+_LEAST_WIDTH, _LEAST_HEIGHT = 640, 480  # on smaller images the board's corners are too coarse for a camera
+
+
+@dataclass(frozen=True, kw_only=True)
+class DemoOptions(Options):
+    """How large the demonstration is."""
+
+    frames: int = 12
+    """Frames of the garment that are filmed and reconstructed."""
+    width: int = 640
+    """Width of the images, pixels, at least 640."""
+    height: int = 480
+    """Height of the images, pixels, at least 480."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 1 <= self.frames <= 1000:
+            raise BadInput(f"demo: expected 1 to 1000 frames, got {self.frames}")
+        if self.width < _LEAST_WIDTH or self.height < _LEAST_HEIGHT:
+            least = f"{_LEAST_WIDTH}×{_LEAST_HEIGHT}"
+            raise BadInput(f"demo: expected images of at least {least}, got {self.width}×{self.height}")

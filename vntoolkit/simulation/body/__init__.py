@@ -1,1 +1,0 @@
-"""Bodies of implicit surfaces, used by the spandex and head scenes."""

@@ -1,0 +1,25 @@
+"""Shapes that no seed changes: generated meshes that the package ships."""
+
+import zlib
+from zipfile import BadZipFile
+
+import numpy as np
+
+from vntoolkit.arrays import Array
+from vntoolkit.errors import BadInput
+from vntoolkit.shipped import shipped_file
+
+
+def read_shape(name: str) -> dict[str, Array]:
+    """Return the arrays of data/shapes/NAME.npz, as `recipes/scene_shapes.py` made them.
+
+    faces: (m, 3). The file holds the steps from each corner to the next, which pack to less than half.
+    """
+    path = shipped_file(f"shapes/{name}.npz")
+    try:
+        with np.load(path) as content:
+            arrays = {key: np.ascontiguousarray(content[key]) for key in content}
+        arrays["faces"] = np.cumsum(arrays.pop("face_steps"), dtype=np.int32).reshape(-1, 3)
+    except (OSError, EOFError, ValueError, KeyError, BadZipFile, zlib.error) as error:
+        raise BadInput(f"{path}: expected the arrays of a shape; install the package again") from error
+    return arrays
