@@ -70,7 +70,7 @@ def test_worker_processes_keep_to_it_too(tmp_path, footage, rig):
             folder=ReconstructionFolder(root=tmp_path),
         )
     with pytest.raises(BadCapture, match=r"the limit of 0\.001"):
-        pickle.loads(pickle.dumps(job)).open_capture()
+        pickle.loads(pickle.dumps(job)).open_footage()
 
 
 def test_the_other_readers_of_images_keep_to_it(tmp_path, footage, rig, capsys):

@@ -30,6 +30,7 @@ from vntoolkit import (
 )
 from vntoolkit.__main__ import main
 from vntoolkit.calibration.fit import fit_response
+from vntoolkit.diagnosis import inspection
 from vntoolkit.errors import BadInput, BadMotion, BadRig, CannotWrite, VntError
 from vntoolkit.io.atomic import require_writable_folder, write_text
 from vntoolkit.io.files import parse_json, require_name
@@ -389,7 +390,7 @@ def test_public_functions_name_what_to_pass(good):
 def test_kinds_are_known_of_every_public_function(name):
     checked = getattr(vntoolkit, name)
     checked = getattr(checked.__init__, "__wrapped__", checked) if isinstance(checked, type) else checked
-    typing.get_type_hints(checked)
+    typing.get_type_hints(checked, localns=vars(inspection))  # `doctor` imports what it returns when it runs
 
 
 # Small ones.

@@ -1,5 +1,7 @@
 """The conversion to half floats is IEEE 754's, as numpy's is, to the bit."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -9,7 +11,10 @@ from vntoolkit.io.maps_and_meshes.maps import half_planes_from_normals
 
 def _as_map(values):
     normals = np.asarray(values, dtype=np.float32)[: len(values) // 3 * 3].reshape(1, -1, 3)
-    return NormalMap(normals_in_camera=normals, mask=np.ones(normals.shape[:2], dtype=bool))
+    mask = np.ones(normals.shape[:2], dtype=bool)  # a map of normals would refuse most of these numbers
+    return SimpleNamespace(
+        normals_in_camera=normals, mask=mask, weight=None, error_deg=None, shape=mask.shape
+    )
 
 
 def _halves():

@@ -104,7 +104,7 @@ def test_a_manifest_of_odd_files_is_one_line(tmp_path, files, line):
     camera = {"model": "PINHOLE", "width": 1, "height": 1, "K": np.eye(3).tolist()}
     source = {"source": "a", "files": [], "width": 1, "height": 1, "frame_count": 1, "frame_rate_hz": 1.0}
     rig = {"camera": camera, "response": {"matrix": np.eye(3).tolist()}}
-    content = {"version": 1, "input": source, "rig": rig, "extra_files": files}
+    content = {"version": 2, "input": source, "rig": rig, "extra_files": files}
     (tmp_path / "reconstruction.json").write_text(json.dumps(content))
     with pytest.raises(BadInput) as refusal:
         read_manifest(tmp_path)
