@@ -3,7 +3,7 @@
 PYTHON := .venv/bin/python
 READY := .venv/.ready
 
-.PHONY: demo test test-slow fuzz error-coverage lint docs lock clean
+.PHONY: demo test test-slow ratios fuzz error-coverage lint docs lock clean
 
 demo: $(READY)
 	$(PYTHON) -m vntoolkit demo --out out/demo --overwrite --jobs 2
@@ -13,6 +13,10 @@ test: $(READY)
 
 test-slow: $(READY)
 	$(PYTHON) -m pytest -m slow --durations=30
+
+# Times of the default as ratios to a plain frame.
+ratios: $(READY)
+	$(PYTHON) -m benchmarks.ratios
 
 # Ten thousand damaged files of every kind that is read, then every interrupted run; prints its seed.
 fuzz: $(READY)
