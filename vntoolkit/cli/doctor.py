@@ -218,8 +218,8 @@ def _stated_and_done(report: CaptureReport) -> list[tuple[str, str, str]]:
         rows.append(("YUV matrix", info.conversion.stated, f"converted by {info.conversion.taken}"))
     if info.chroma == "Bayer":
         rows.append(("mosaic", info.pixel_format, "demosaiced, without white balance or camera matrix"))
-    turned = ("held otherwise", f"{info.orientation}; the rig's size is the upright picture's")
-    rows.append(("camera", *(turned if info.orientation else ("held upright, or nothing", "nothing"))))
+    turned = ("turned", f"{info.orientation}; the rig's size is the upright picture's")
+    rows.append(("camera", *(turned if info.orientation else ("upright, or nothing stated", "nothing"))))
     if info.kind.value == "video":
         rows.append(("lines", "not interlaced", "nothing"))
         uneven = ("uneven", "kept in the manifest; export plays at the mean rate")

@@ -157,7 +157,7 @@ class ClockOptions(Options):
 
 
 class Anchor(Enum):
-    """What of the captured motion is taken out.
+    """Which part of the performer's motion is removed from the cloth.
 
     BONES: the rigid motion of the cloth over the trunk, each upper arm and each forearm; folds keep moving.
     TRUNK: that over the trunk only; captured sleeves swing on top of the figure's. NONE: nothing, the
@@ -216,9 +216,9 @@ class DressOptions(Options):
     blend: Named[Blend, BlendName] = named(Blend.LINEAR)
     """How a vertex mixes the motions of its bones."""
     anchor: Named[Anchor, AnchorName] = named(Anchor.BONES)
-    """What of the captured motion is taken out. bones: that of the performer's trunk and arms, so that the
-    sleeves follow the figure's arms alone; folds keep moving. trunk: that of the trunk, so that captured
-    sleeves swing on top of the figure's. none keeps the performer's steps too."""
+    """Which part of the performer's motion is removed from the cloth. bones: the motion of trunk and arms, so
+    that sleeves follow the figure's arms alone; folds keep moving. trunk: the motion of the trunk; captured
+    sleeves swing on top of the figure's. none: nothing, the performer's steps stay."""
     figure_height: float = FIGURE_HEIGHT_M
     """Metres from the toes to the crown, for motion files that carry no unit."""
     up_axis: Named[MotionUpAxis, MotionUpAxisName] = named(MotionUpAxis.AUTO)

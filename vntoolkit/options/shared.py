@@ -41,7 +41,7 @@ class AllowOptions(Options):
     """Which findings do not stop a run."""
 
     allow: tuple[str, ...] = ()
-    """Checks whose fatal findings do not stop the run, by the name that ends the finding's line."""
+    """Continue despite the fatal findings of these checks. The name of a check ends its finding's line."""
 
 
 @dataclass(frozen=True, kw_only=True)

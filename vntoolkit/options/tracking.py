@@ -14,7 +14,7 @@ _PAPERS_SHARE = 0.9
 
 
 class Tracker(Enum):
-    """A whole method by name (`brostow2011` section V; ARAP: `sorkine2007`, by Open3D)."""
+    """A tracking method (`brostow2011` section V; ARAP: `sorkine2007`, by Open3D)."""
 
     DEFAULT = "default"  # the template itself is registered to every frame, with its lengths and outline
     NO_REGISTRATION = "no-registration"  # nothing moves
@@ -37,12 +37,12 @@ class TrackingOptions(Options):
     """How the template follows the video."""
 
     method: Named[Tracker, TrackerName] = named(Tracker.DEFAULT)
-    """A whole method by name."""
+    """The tracking method: the default, or a published one for comparison."""
     smoothing_length: float = _PAPERS_LENGTH
     """In edges; the Laplacian methods keep waves longer than about five times this (β = 1.5 / length²; the
     default is the paper's β = 1e-3)."""
     data_share: float = _PAPERS_SHARE
-    """Α of the translation method, the share of the data term, 0 to 1, the paper's by default."""
+    """Share of the data term in the translation method (α), 0 to 1. Default: the paper's."""
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -278,9 +278,9 @@ def _ended(
     error_deg = round(float(np.median(errors)), 2) if errors else None
     if error_deg is not None and error_deg > _LARGE_ERROR_DEG:
         logger.warning(
-            "half of the normals may be off by more than %.0f degrees, their expected error (usual: below "
-            "%.0f): noise, gloss, near lamps or another colour than the rig's; `vntoolkit doctor` names "
-            "what it finds, `vntoolkit report` shows where",
+            "the expected error of the normals, which nine of ten stay within, is %.0f degrees in the median "
+            "(usual: below %.0f): noise, gloss, near lamps or another colour than the rig's; `vntoolkit "
+            "doctor` names what it finds, `vntoolkit report` shows where",
             error_deg, _LARGE_ERROR_DEG,
         )  # fmt: skip
     failed = [entry for entry in made if entry.failure]
