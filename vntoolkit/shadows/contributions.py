@@ -57,7 +57,7 @@ class LightContributions:
 
 def shrunk_frame(frame: LinearFrame, mask: Mask) -> tuple[LinearFrame, Mask]:
     """Return a frame and its mask at a size that suffices to predict lights, averaged over the mask."""
-    factor = max(1, round(float(np.sqrt(mask.size / _WORKING_PIXELS))))
+    factor = shrinking(mask)
     if factor == 1:
         return frame, mask
     height, width = (max(1, round(length / factor)) for length in mask.shape)
@@ -65,6 +65,11 @@ def shrunk_frame(frame: LinearFrame, mask: Mask) -> tuple[LinearFrame, Mask]:
     _shrink_kernel(flat(frame.rgb), np.asarray(mask), rgb, cover)
     clipped: Mask = np.zeros((height, width), np.bool_)
     return LinearFrame(rgb=rgb, clipped=clipped, number=frame.number), cover > 0.5
+
+
+def shrinking(mask: Mask) -> int:
+    """Return by what whole factor a surface is solved smaller than the image of `mask`."""
+    return max(1, round(float(np.sqrt(mask.size / _WORKING_PIXELS))))
 
 
 def contributions_from_frame(frame: LinearFrame, response: LightResponse) -> LightContributions:

@@ -27,23 +27,24 @@ def labels_beyond_half(
     """
     out: VisibilityLabels = np.array(labels)
     shadow = ((ALL_LIT - labels) & facing * mask).astype(np.uint8)
-    _part_kernel(labels, shadow, cosines, mask, out)
+    _part_kernel(labels, shadow, cosines, mask, mask, _PART, _REACH_PX, _FAINTEST, out)
     return out
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
 def _part_kernel(
-    labels: VisibilityLabels, shadow: ByteArray, cosines: FloatArray, mask: Mask, out: VisibilityLabels
-) -> None:
-    """shadow: (h, w), bit k set where a shadow of light k counts, 0 outside the mask."""
-    (h, w), reach = mask.shape, _REACH_PX
+    labels: VisibilityLabels, shadow: ByteArray, cosines: FloatArray, mask: Mask, near: Mask,
+    part: float, reach: int, faintest: float, out: VisibilityLabels,
+) -> None:  # fmt: skip
+    """shadow: (h, w), bit k set where a shadow of light k counts, 0 outside the mask; reach: in pixels."""
+    h, w = mask.shape
     for v in prange(h):
         above, below, column = max(v - 1, 0), min(v + 1, h - 1), np.zeros(w + 2, np.uint8)
         for u in range(w):
             column[u + 1] = shadow[above, u] | shadow[v, u] | shadow[below, u]
         for u in range(w):
             beside = (column[u] | column[u + 1] | column[u + 2]) & labels[v, u]
-            if beside == 0 or not mask[v, u]:
+            if beside == 0 or not near[v, u] or not mask[v, u]:
                 continue
             for k in range(3):
                 if (beside >> k) & 1 == 0:
@@ -53,5 +54,5 @@ def _part_kernel(
                     for x in range(max(u - reach, 0), min(u + reach + 1, w)):
                         if mask[y, x] and (labels[y, x] >> k) & 1 == 1:
                             brightest = max(brightest, cosines[y, x, k])
-                if brightest > _FAINTEST and cosines[v, u, k] < _PART * brightest:
+                if brightest > faintest and cosines[v, u, k] < part * brightest:
                     out[v, u] &= np.uint8(7 - (1 << k))
