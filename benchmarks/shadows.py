@@ -28,12 +28,12 @@ from vntoolkit.meshing.surface import mesh_from_depth
 from vntoolkit.normals.expected_error import with_expected_error
 from vntoolkit.normals.inversion import normals_from_frame
 from vntoolkit.options.depth import IntegrationOptions, Integrator
-from vntoolkit.options.normals import ShadowMethod
+from vntoolkit.options.normals import RecoveryMethod, ShadowMethod
 from vntoolkit.options.simulation import Nuisances, SceneOptions
 from vntoolkit.photometry.frame import LinearFrame, count_lit, lit_from_labels
 from vntoolkit.photometry.levelling import Leveller
 from vntoolkit.shadows.detector import ShadowDetector
-from vntoolkit.shadows.recovery import recover_normals
+from vntoolkit.shadows.recovery import recover_normals, recover_surface
 from vntoolkit.simulation.image_formation import true_response, true_varying_response
 from vntoolkit.simulation.render import FrameTruth, SimulatedFrame, render_frame
 from vntoolkit.simulation.scene import build_scene
@@ -54,11 +54,11 @@ def simulated(name: str, near: bool) -> tuple[ReferencedCapture, SimulatedFrame,
     return capture, frame, scene.camera
 
 
-def recovered(capture: ReferencedCapture, labels) -> NormalMap:
+def recovered(capture: ReferencedCapture, labels, method: RecoveryMethod, camera=None) -> NormalMap:
     frame, response = capture.frame, capture.response
     if response.variation is not None:
         frame = Leveller(response, frame.shape).frame(frame)
-    return recover_normals(frame, labels, response.central, capture.mask)
+    return recover_normals(frame, labels, response.central, capture.mask, camera, method)
 
 
 def errors(capture: ReferencedCapture, found: NormalMap) -> str:
@@ -75,7 +75,7 @@ def overlap(capture: ReferencedCapture, labels) -> str:
     return " ".join(f"{x:.2f}" for x in (dark & true).sum(0) / np.maximum((dark | true).sum(0), 1))
 
 
-def report(name: str, capture: ReferencedCapture) -> dict[str, NormalMap]:
+def report(name: str, capture: ReferencedCapture, camera=None) -> dict[str, NormalMap]:
     """Print all figures of a capture; return the normals without and with the default recovery."""
     plain = normals_from_frame(capture.frame, capture.response, capture.mask)
     print(f"\n{name}\n  plain inversion        {errors(capture, plain)}")
@@ -83,13 +83,14 @@ def report(name: str, capture: ReferencedCapture) -> dict[str, NormalMap]:
     if capture.response.variation is not None:
         frame = Leveller(capture.response, frame.shape).frame_by_strength(frame)
     for method in (ShadowMethod.PUBLISHED, ShadowMethod.ROBUST):
-        detector = ShadowDetector(capture.response.central, method)
+        detector = ShadowDetector(capture.response.central, method, camera=camera)
         labels[method.value] = detector.labels(frame, capture.mask)
         shared = overlap(capture, labels[method.value])
         print(f"  {method.value:9} overlap with the true shadows of each light: {shared}")
     for found, values in labels.items():
-        normals = recovered(capture, values)
-        print(f"  {found:9}              {errors(capture, normals)}")
+        for method in (RecoveryMethod.TWO_LIGHTS, RecoveryMethod.SURFACE):
+            normals = recovered(capture, values, method, camera)
+            print(f"  {found:9}, {method.value:10}  {errors(capture, normals)}")
     return {"none": replace(plain, weight=None), "robust": normals}
 
 
@@ -133,22 +134,28 @@ def times(capture: ReferencedCapture) -> None:
             detector = ShadowDetector(capture.response.central, method)
             labels = detector.labels(frame, mask)
             print(f"  detect, {method.value:10} {fastest(lambda: detector.labels(frame, mask)):6.2f}")  # noqa: B023
-        seconds = fastest(lambda: recover_normals(frame, labels, capture.response.central, mask))  # noqa: B023
-        print(f"  recover            {seconds:6.2f}")
+        for recovery in RecoveryMethod:
+            seconds = fastest(
+                lambda: recover_normals(frame, labels, capture.response.central, mask, method=recovery)  # noqa: B023
+            )
+            print(f"  recover, {recovery.value:10} {seconds:6.2f}")
 
 
 def stages(capture: ReferencedCapture, camera: Camera, repeats: int = 8) -> None:
     """Median milliseconds of each stage of a frame in a running video, with all cores."""
     response, mask = capture.response.central, capture.mask
-    detector, integrator = ShadowDetector(response), DepthIntegrator(camera, IntegrationOptions())
+    detector, integrator = (
+        ShadowDetector(response, camera=camera),
+        DepthIntegrator(camera, IntegrationOptions()),
+    )
     rows: list[list[float]] = []
     for _ in range(repeats):
         ticks = [time.perf_counter()]
         labels = detector.labels(capture.frame, mask)
         ticks.append(time.perf_counter())
-        found = recover_normals(capture.frame, labels, response, mask)
+        found = recover_surface(capture.frame, labels, response, mask, camera, start=detector.surface)
         ticks.append(time.perf_counter())
-        normals = with_expected_error(found, capture.frame, response, labels, camera)
+        normals = with_expected_error(found.normal_map, capture.frame, response, labels, camera)
         ticks.append(time.perf_counter())
         depth = integrator.integrate(normals)
         ticks.append(time.perf_counter())
@@ -175,7 +182,7 @@ def main() -> None:
         for near in (False, True):
             capture, frame, camera = simulated(name, near)
             title = f"{name}, M of every pixel" if near else f"{name}, M of the centre"
-            depths(report(title, capture), frame.truth, camera)
+            depths(report(title, capture, camera), frame.truth, camera)
         stages(capture, camera)
         times(capture)
     for name in CAPTURES if arguments.data else ():

@@ -70,7 +70,7 @@ def main(out: Path, scene_name: str = "face") -> None:
     response = true_response(scene, Nuisances())
     truth, mask = rendered.truth.labels, rendered.truth.normals.mask
     labels = {
-        method.value: ShadowDetector(response, method).labels(rendered.linear, mask)
+        method.value: ShadowDetector(response, method, camera=scene.camera).labels(rendered.linear, mask)
         for method in (ShadowMethod.PUBLISHED, ShadowMethod.ROBUST)
     }
     out.mkdir(parents=True, exist_ok=True)

@@ -93,12 +93,12 @@ def main(out: Path, scene_name: str = "face") -> None:
     rendered = render_frame(scene, 0)
     response, truth = true_response(scene, Nuisances()), rendered.truth
     mask = truth.normals.mask
-    detector, recoveries, numbers = ShadowDetector(response), {}, []
+    detector, recoveries, numbers = ShadowDetector(response, camera=scene.camera), {}, []
     plain = replace(normals_from_frame(rendered.linear, response, mask), weight=None)
     for _ in range(2):  # the first time compiles
         started = time.perf_counter()
         labels = detector.labels(rendered.linear, mask)
-        found = recover_normals(rendered.linear, labels, response, mask)
+        found = recover_normals(rendered.linear, labels, response, mask, camera=scene.camera)
         DepthIntegrator(scene.camera).integrate(found)
         seconds = time.perf_counter() - started
     for name, normals in (("A", plain), ("B", found)):

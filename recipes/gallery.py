@@ -42,8 +42,8 @@ def made(scene: Scene, number: int) -> tuple[Mesh, dict[str, Picture]]:
     """Return the mesh of a frame, and its row of pictures."""
     rendered, response = render_frame(scene, number), true_response(scene, Nuisances())
     truth, camera = rendered.truth.normals, scene.camera
-    labels = ShadowDetector(response).labels(rendered.linear, truth.mask)
-    found = recover_normals(rendered.linear, labels, response, truth.mask)
+    labels = ShadowDetector(response, camera=camera).labels(rendered.linear, truth.mask)
+    found = recover_normals(rendered.linear, labels, response, truth.mask, camera=camera)
     depth = DepthIntegrator(camera).integrate(found)
     row = row_of_frame(rendered.linear, found, depth, camera, truth, SCALE)
     return mesh_from_depth(depth, camera, normal_map=found), row

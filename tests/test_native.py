@@ -41,14 +41,25 @@ def test_loops_overlap_only_where_the_threads_can_take_it(layer: str, may: bool)
     )
 
 
-BONDS = """
+QUADRATICS = """
 import hashlib
 import numpy as np
-from vntoolkit.shadows.graph_cut import bonds_of_light
-cosines = np.random.default_rng(7).uniform(0.1, 1.0, (40, 67, 3)).astype(np.float32)
-bonds = np.stack(bonds_of_light(cosines, 0, np.zeros((40, 67), np.int32), 0.5, 0.6))
-bonds[0, :, -1] = bonds[1, -1] = 0.0
-print(hashlib.sha256(bonds.tobytes()).hexdigest())
+from vntoolkit.geometry.slope_grid import RayGrid
+from vntoolkit.shadows.contributions import flat, numbers_of
+from vntoolkit.shadows.surface import SurfaceOptions, model_of, quadratics_kernel
+h, w = 40, 67
+rng = np.random.default_rng(7)
+cosines = rng.uniform(0.1, 1.0, (h, w, 3)).astype(np.float32)
+labels = rng.integers(0, 8, (h, w)).astype(np.uint8)
+slopes, prior = rng.normal(size=(2, 2, h, w)).astype(np.float32)
+rays = RayGrid(*np.array([30.0, 20.0, 0.01, 0.01], np.float32))
+out = np.zeros((8, h, w), np.float32)
+lights = numbers_of(rng.normal(size=(3, 3)))
+quadratics_kernel(
+    flat(cosines), labels, cosines[..., 0].copy(), slopes, prior, lights, rays,
+    model_of(SurfaceOptions(), settled=False), out[:6], out[6:],
+)
+print(hashlib.sha256(out.tobytes()).hexdigest())
 """
 
 
@@ -57,7 +68,7 @@ def test_the_first_process_rounds_as_those_do_that_find_its_kernels(tmp_path: Pa
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
     first, second = (
         subprocess.run(
-            [sys.executable, "-c", BONDS], check=True, env=environment, capture_output=True, text=True
+            [sys.executable, "-c", QUADRATICS], check=True, env=environment, capture_output=True, text=True
         ).stdout
         for _ in range(2)
     )

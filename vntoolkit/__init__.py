@@ -87,6 +87,7 @@ if TYPE_CHECKING:  # what editors and type checkers know; a test holds it to the
     from vntoolkit.options.footage import MatteOptions as MatteOptions
     from vntoolkit.options.footage import SensorOptions as SensorOptions
     from vntoolkit.options.normals import InversionOptions as InversionOptions
+    from vntoolkit.options.normals import RecoveryMethod as RecoveryMethod
     from vntoolkit.options.normals import ShadowMethod as ShadowMethod
     from vntoolkit.options.reconstruction import DepthOffset as DepthOffset
     from vntoolkit.options.reconstruction import MaterialSearch as MaterialSearch
@@ -148,6 +149,7 @@ _PUBLIC = {
     "FitMethod": "vntoolkit.options.calibration",
     "InversionOptions": "vntoolkit.options.normals",
     "ShadowMethod": "vntoolkit.options.normals",
+    "RecoveryMethod": "vntoolkit.options.normals",
     "IntegrationOptions": "vntoolkit.options.depth",
     "Integrator": "vntoolkit.options.depth",
     "MeshOptions": "vntoolkit.options.depth",

@@ -11,7 +11,7 @@ from vntoolkit.errors import BadInput
 from vntoolkit.options.normals import ShadowMethod
 from vntoolkit.photometry.frame import LinearFrame, lit_from_labels
 from vntoolkit.shadows.detector import ShadowDetector, lit_by_edges
-from vntoolkit.shadows.graph_cut import bonds_of_light, lit_by_cut
+from vntoolkit.shadows.robust import bonds_of_light, lit_by_cut
 
 
 def overlap(found: np.ndarray, true: np.ndarray) -> np.ndarray:
@@ -76,22 +76,27 @@ def test_uniform_frames_pass_through(stage, method: ShadowMethod, level: float) 
 
 
 def test_a_frame_owes_nothing_to_the_frame_before(stage) -> None:
+    """What another subject, turned and of other colours, left behind leads into the wrong valley."""
     other = LinearFrame(rgb=stage.frame.rgb[::-1, ::-1, ::-1].copy(), clipped=stage.frame.clipped)
     detector = ShadowDetector(stage.response)
     detector.labels(other, stage.mask)
     labels = detector.labels(stage.frame, stage.mask)
     alone = ShadowDetector(stage.response)
     assert np.array_equal(labels, alone.labels(stage.frame, stage.mask))
+    assert alone.surface is not None
+    assert np.array_equal(detector.surface.normals, alone.surface.normals)
 
 
-def test_only_a_light_that_is_missing_is_labelled(build_stage) -> None:
+def test_where_no_light_is_weak_nothing_is_solved(build_stage) -> None:
     v, u = np.mgrid[:60, :70]
     flat = build_stage(0.001 * ((u - 35.0) ** 2 + (v - 30.0) ** 2), noise=0.001)
     detector = ShadowDetector(flat.response)
     assert (detector.labels(flat.frame, flat.mask) == 7).all()
+    assert detector.surface is None
     dark = flat.frame.rgb.copy()
     dark[20:40, 30:50, 1] = 0.0
     labels = detector.labels(LinearFrame(rgb=dark, clipped=flat.frame.clipped), flat.mask)
+    assert detector.surface is not None
     assert (labels[22:38, 32:48] == 5).mean() > 0.95
 
 

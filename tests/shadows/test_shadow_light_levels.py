@@ -8,12 +8,9 @@ import pytest
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.shadows.contributions import contributions_from_frame
-from vntoolkit.shadows.evidence import (
-    CONTRIBUTION_NOISE,
-    evidence_of_frame,
-    lamps_of,
-    typical_dark_cosine,
-)
+from vntoolkit.shadows.evidence import CONTRIBUTION_NOISE, largest_dark_cosine
+from vntoolkit.shadows.initialisation import noise_of_frame
+from vntoolkit.shadows.shadow_edges import labels_without_penumbra
 
 EVERYWHERE = np.ones((20, 30), bool)
 MATRIX = np.array([[-0.3, -0.2, -0.5], [0.4, -0.1, -0.5], [0.0, 0.4, -0.6]])
@@ -38,22 +35,29 @@ def test_the_frame_tells_how_much_light_its_shadows_hold() -> None:
     """One light of three is missing on a third of the pixels, where other surfaces return `glow` of it."""
     predicted = np.full((20, 30, 3), 0.8)
     predicted[15:] = 0.02
+    levels = {}
     for glow in (0.0, 0.1):
         cosines = predicted.copy()
         cosines[:15, :10, 1] = glow
-        typical, spread = typical_dark_cosine(cosines, predicted, NOISELESS, EVERYWHERE)
-        assert typical == pytest.approx(glow)
-        assert spread == pytest.approx(0.0)
+        level, _ = largest_dark_cosine(cosines, predicted, NOISELESS, EVERYWHERE)
+        assert ((cosines < level)[:15] == (np.arange(30)[:, None] < 10) & (np.arange(3) == 1)).all()
+        levels[glow] = level
+    assert levels[0.0][15:].max() == pytest.approx(0.015)
+    assert levels[0.1][15:].max() == pytest.approx(0.115)
+    assert levels[0.0][:15].max() == pytest.approx(0.015)
+    assert levels[0.1][:15].max() == pytest.approx(0.315)
 
 
-def test_shadows_of_uneven_darkness_have_a_spread() -> None:
-    """From the tenth percentile to the median."""
+def test_shadows_of_uneven_darkness_raise_the_level() -> None:
+    """The same median in shadow, with and without a spread: 1.3 times that is added to the upper bound."""
     predicted = np.full((20, 30, 3), 0.8)
-    cosines = predicted.copy()
-    cosines[..., 1] = 0.1 + 0.04 * np.linspace(-1.25, 1.25, 30)
-    typical, spread = typical_dark_cosine(cosines, predicted, NOISELESS, EVERYWHERE)
-    assert typical == pytest.approx(0.1, abs=0.004)
-    assert spread == pytest.approx(0.04, abs=0.004)
+    upper = []
+    for spread in (0.0, 0.04):
+        cosines = predicted.copy()
+        cosines[..., 1] = 0.1 + spread * np.linspace(-1.25, 1.25, 30)
+        level, _ = largest_dark_cosine(cosines, predicted, NOISELESS, EVERYWHERE)
+        upper.append(level.max())
+    assert upper[1] - upper[0] == pytest.approx(1.3 * 0.04, abs=0.004)
 
 
 def test_a_part_predicted_wrongly_does_not_call_itself_shadow() -> None:
@@ -62,27 +66,45 @@ def test_a_part_predicted_wrongly_does_not_call_itself_shadow() -> None:
     cosines = predicted.copy()
     cosines[:4, :, 0] = cosines[4:8, :, 1] = 0.01
     cosines[8:, :, 2] = 0.25  # lit, at a slant that the surface does not know yet
-    typical, _ = typical_dark_cosine(cosines, predicted, NOISELESS, EVERYWHERE)
-    assert typical == pytest.approx(0.01)
+    level, _ = largest_dark_cosine(cosines, predicted, NOISELESS, EVERYWHERE)
+    dark = cosines < level
+    assert dark[:4, :, 0].all()
+    assert dark[4:8, :, 1].all()
+    assert not dark[8:].any()
 
 
-def test_the_noise_of_dark_paint_is_taken_off() -> None:
+def test_noise_counts_for_more_on_dark_paint() -> None:
     predicted = np.full((20, 30, 3), 0.8)
-    cosines = np.full((20, 30, 3), 0.3)
-    typical, _ = typical_dark_cosine(cosines, predicted, np.full((20, 30), 0.1), EVERYWHERE)
-    assert typical == pytest.approx(0.3 - 10 * CONTRIBUTION_NOISE)
+    dark, grain = largest_dark_cosine(predicted, predicted, np.full((20, 30), 0.1), EVERYWHERE)
+    white, _ = largest_dark_cosine(predicted, predicted, np.ones((20, 30)), EVERYWHERE)
+    assert grain.max() == pytest.approx(10 * CONTRIBUTION_NOISE)
+    assert (dark > white).all()
 
 
-def test_a_frame_s_evidence_counts_from_the_level_of_its_shadows() -> None:
-    """A light of which half is left, where little and where much light is in shadows."""
-    response = LightResponse(matrix=MATRIX, light_colours=np.eye(3))
-    normal = np.linalg.inv(MATRIX) @ np.array([0.2, 0.4, 0.4])
-    normal /= np.linalg.norm(normal)
-    rgb = np.tile(MATRIX @ normal, (20, 30, 1)).astype(np.float32)
-    cosines = MATRIX @ normal / np.linalg.norm(MATRIX, axis=1)
-    rgb[:, 15:, 0] *= 0.05
-    expected = np.ones((4, 20, 30), np.float32)
-    expected[:3] = cosines[:, None, None]
-    found = evidence_of_frame(rgb, EVERYWHERE, lamps_of(response), expected, (0.0, 0.02))
-    assert (found.evidence[0][:, 15:] < 0).all()
-    assert (found.evidence[0][found.near & (np.arange(30) < 15)] > 0).all()
+def test_half_shadow_lies_beside_cast_shadow_only() -> None:
+    labels = np.full((20, 30), 7, np.uint8)
+    labels[:, 15:] = 5  # light 1 is missing on the right
+    cast, terminator = np.full((2, 20, 30, 3), 0.8)
+    cast[:, 14, 1], cast[:, 15:, 1] = 0.2, 0.0
+    terminator[..., 1] = np.clip((15 - np.arange(30)) * 0.02, 0.0, 0.8)
+    found = labels_without_penumbra(labels, cast, EVERYWHERE)
+    assert (found[:, 14] == 5).all()
+    assert (np.delete(found, 14, axis=1) == np.delete(labels, 14, axis=1)).all()
+    assert (labels_without_penumbra(labels, terminator, EVERYWHERE) == labels).all()
+    sharp = np.where(np.arange(30)[:, None] == 14, 0.8, cast)
+    assert (labels_without_penumbra(labels, sharp, EVERYWHERE) == labels).all()
+    assert (labels_without_penumbra(labels, cast, ~EVERYWHERE) == 7).all()
+
+
+def test_noise_of_slopes_is_measured_whatever_the_shape(rng: np.random.Generator) -> None:
+    v, u = np.mgrid[:120, :150] / 30.0
+    depth = 12.0 * np.sin(u) * np.cos(1.3 * v)
+    slopes = np.stack([np.gradient(depth, axis=1), np.gradient(depth, axis=0)], axis=-1)
+    response = LightResponse(matrix=MATRIX)
+    for deviation in (0.01, 0.05):
+        noisy = slopes + rng.normal(0, deviation, slopes.shape) * (1 + (slopes**2).sum(-1, keepdims=True))
+        normals = np.concatenate([noisy, -np.ones((120, 150, 1))], axis=-1)
+        normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+        found = noise_of_frame(normals @ MATRIX.T, response, np.ones((120, 150), bool))
+        assert found == pytest.approx(deviation, rel=0.15)
+    assert noise_of_frame(normals @ MATRIX.T, response, np.zeros((120, 150), bool)) is None

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numba import prange
 
 from vntoolkit.arrays import (
     Array,
@@ -24,8 +25,6 @@ from vntoolkit.arrays import (
     Float64Array,
     FloatArray,
     Int64Array,
-    Mask,
-    Normals,
     Points2,
     Vector3,
     VisibilityLabels,
@@ -122,7 +121,7 @@ def steps_from_shadows(
             continue
         bit = np.uint8(1 << k)
         lamp = lamp_at(k, middle)[0].astype(np.float32)
-        under = _cast_upon(labels, bit, normals, mask, lamp)
+        under = _cast_upon(labels, bit, normals, mask, lamp, rays.affine, perspective)
         rims = _rims(labels, bit, mask, under)
         lamps = lamp_at(k, rims[:, 1::-1].astype(np.float64)).astype(np.float32)
         step, variance = _steps(
@@ -149,9 +148,41 @@ def steps_from_shadows(
     )
 
 
-def _cast_upon(labels: VisibilityLabels, bit: np.uint8, normals: Normals, mask: Mask, lamp: Vector3) -> Mask:
-    """Return (h, w): dark pixels that face the lamp, so that something else throws the shadow on them."""
-    return mask & (labels & bit == 0) & (normals @ lamp > _FACING)
+@njit(cache=True, parallel=True, error_model="numpy")
+def _cast_upon(
+    labels: Any, bit: Any, normals: Any, mask: Any, lamp: Any, affine: Any, perspective: Any
+) -> Any:
+    """Return (h, w) bool: dark pixels that face the lamp, so that something else throws the shadow on them.
+
+    Normals in the dark are poor, and each alone may be wrong. A shadow's far part, towards where it ends, is
+    cast and its near part is where the surface turned from the lamp: every line towards the lamp is divided
+    where most of its pixels agree.
+    """
+    h, w = mask.shape
+    out = np.zeros((h, w), np.bool_)
+    for v in prange(h):
+        for u in range(w):
+            if not mask[v, u] or labels[v, u] & bit:
+                continue
+            step_u, step_v, _, rise = _way(affine, perspective, lamp, v, u)
+            if rise <= np.float32(0.0):
+                continue
+            back = 0
+            while _is_dark(
+                labels, bit, mask, _nearest(v - (back + 1) * step_v), _nearest(u - (back + 1) * step_u)
+            ):
+                back += 1
+            score, best, divide, i = 0, 0, 0, -back
+            while True:
+                y, x = _nearest(v + i * step_v), _nearest(u + i * step_u)
+                if not _is_dark(labels, bit, mask, y, x):
+                    break
+                i += 1
+                score += 1 if _cosine(normals, lamp, y, x) > _FACING else -1
+                if score > best:
+                    best, divide = score, i + back
+            out[v, u] = back < divide
+    return out
 
 
 @njit(cache=True, error_model="numpy")

@@ -51,7 +51,15 @@ class ShadowMethod(Enum):
 
     NONE = "none"  # every pixel counts as lit by all three lights
     PUBLISHED = "published"  # edges and flood fill, brostow2011
-    ROBUST = "robust"  # comparison with predicted normals, graph cut
+    ROBUST = "robust"  # comparison with a surface, graph cut
 
 
 ShadowMethodName: TypeAlias = Literal["none", "published", "robust"]
+
+
+class RecoveryMethod(Enum):
+    """How normals are found where a light is missing."""
+
+    INVERSION = "inversion"  # as if all three lights arrived: the baseline
+    TWO_LIGHTS = "two-lights"  # Onn and Bruckstein's quadratic pixel by pixel, smooth fill elsewhere
+    SURFACE = "surface"  # solved together with the depth, Hernández, Vogiatzis and Cipolla

@@ -120,7 +120,7 @@ class FrameProcessor:
         if options.shadows is not ShadowMethod.NONE:
             from vntoolkit.pipeline.shadowed_normals import ShadowedNormals
 
-            self._shadows = ShadowedNormals(rig.response, options.shadows, options.inversion)
+            self._shadows = ShadowedNormals(rig.response, options.shadows, self.camera, options.inversion)
         self._materials = materials
         self._labeller: MaterialLabeller | None = None
         if materials:

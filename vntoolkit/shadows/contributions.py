@@ -1,23 +1,29 @@
 """What a frame says of each light: contributions, albedo and normal under full light, trust in the colour."""
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
+import cv2
 import numpy as np
 from numba import prange
 
-from vntoolkit.arrays import Array, ArrayLike, BoolArray, FloatArray, IntArray, Mask, Matrix3, Vector3
+from vntoolkit.arrays import Array, ArrayLike, BoolArray, FloatArray, IntArray, Mask, Matrix3, Vector3, Weight
+from vntoolkit.geometry.camera import Camera
 from vntoolkit.native import njit
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.levelling import FLAGS
 from vntoolkit.photometry.response import LightResponse
 
 _WORKING_PIXELS = 100_000  # surfaces are solved on images of about this size: more show no other shadows
+CLIPPED_TRUST = 0.05  # a saturated channel is a bound, not a value
 _SMALLEST_ALBEDO = 1e-3
 _SMALLEST_REST = 0.05  # 1 − |M⁻¹a|²: an ambient light as strong as the lamps leaves no root
 _MARGIN_PX = 4  # room for filters around the mask
 Window = tuple[slice, slice]
 Numbers = tuple[Any, ...]  # float32
+TOWARDS_VIEWER = np.array([0.0, 0.0, -1.0], dtype=np.float32)  # single, so that images stay so
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -28,7 +34,7 @@ class LightContributions:
     with the ambient light in it. ambient: (3,), its part of that on a surface of albedo 1; it comes back from
     the surface like any light, so on dark hair little of it does. lights: (3, 3), row k = direction times
     strength; directions: the same, unit length. length, normals: (h, w) and (h, w, 3), albedo and normal
-    where all lights arrive.
+    where all lights arrive. trust: (h, w), 1, less where clipped.
     """
 
     contributions: FloatArray
@@ -37,6 +43,7 @@ class LightContributions:
     directions: Matrix3
     length: FloatArray
     normals: FloatArray
+    trust: Weight
 
     def relative_to(self, albedo: FloatArray) -> FloatArray:
         """Contributions over the albedo (h, w): L_k · n where light k arrives."""
@@ -54,17 +61,67 @@ class LightContributions:
         )  # fmt: skip
         return out
 
+    def shrunk(self, mask: Mask, factor: int) -> "tuple[LightContributions, Mask]":
+        """Return the same frame, and its mask, at 1/factor of the size, averaged over the mask."""
+        mean, cover = mean_inside(mask, factor)
+        scaled = mean(self.normals * self.length[..., None])
+        length, normals = _length_and_direction(scaled)
+        small = LightContributions(
+            contributions=mean(self.contributions),
+            ambient=self.ambient,
+            lights=self.lights,
+            directions=self.directions,
+            length=length,
+            normals=normals,
+            trust=mean(self.trust),
+        )
+        return small, cover > 0.5
 
-def shrunk_frame(frame: LinearFrame, mask: Mask) -> tuple[LinearFrame, Mask]:
-    """Return a frame and its mask at a size that suffices to predict lights, averaged over the mask."""
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class WorkingImage:
+    """A frame at the size on which its surface is solved.
+
+    light: of (h, w) pixels, what the frame says of each light. mask: (h, w), the subject. camera: that sees
+    this image, None for orthographic.
+    """
+
+    light: LightContributions
+    mask: Mask
+    camera: Camera | None
+
+    @cached_property
+    def halved(self) -> "WorkingImage":
+        """The image at half the size; made once, for all who ask."""
+        light, mask = self.light.shrunk(self.mask, 2)
+        return WorkingImage(
+            light=light, mask=mask, camera=None if self.camera is None else self.camera.scaled(0.5)
+        )
+
+
+def working_image(
+    frame: LinearFrame, response: LightResponse, mask: Mask, camera: Camera | None
+) -> tuple[WorkingImage, int]:
+    """Split a frame by light, at a size that suffices; return also its pixels per pixel of that size."""
     factor = shrinking(mask)
-    if factor == 1:
-        return frame, mask
-    height, width = (max(1, round(length / factor)) for length in mask.shape)
-    rgb, cover = np.empty((height, width, 3), np.float32), np.empty((height, width), np.float32)
-    _shrink_kernel(flat(frame.rgb), np.asarray(mask), rgb, cover)
-    clipped: Mask = np.zeros((height, width), np.bool_)
-    return LinearFrame(rgb=rgb, clipped=clipped, number=frame.number), cover > 0.5
+    light, small_mask = _small_contributions(frame, response, mask, factor)
+    small_camera = None if camera is None else camera.scaled(1.0 / factor)
+    return WorkingImage(light=light, mask=small_mask, camera=small_camera), factor
+
+
+def mean_inside(mask: Mask, factor: int) -> tuple[Callable[[FloatArray], FloatArray], FloatArray]:
+    """Return how to average an image over the mask at 1/factor of the size, and how much is mask there."""
+    size = (max(1, round(mask.shape[1] / factor)), max(1, round(mask.shape[0] / factor)))
+    cover: FloatArray = np.asarray(
+        cv2.resize(mask.astype(np.float32), size, interpolation=cv2.INTER_AREA), dtype=np.float32
+    )
+
+    def mean(image: FloatArray) -> FloatArray:
+        inside = image * (mask if image.ndim == 2 else mask[..., None])
+        small = cv2.resize(inside.astype(np.float32), size, interpolation=cv2.INTER_AREA)
+        return small / np.maximum(cover if image.ndim == 2 else cover[..., None], 1e-6)
+
+    return mean, cover
 
 
 def shrinking(mask: Mask) -> int:
@@ -89,6 +146,7 @@ def contributions_from_frame(frame: LinearFrame, response: LightResponse) -> Lig
         directions=response.light_directions,
         length=length,
         normals=normals,
+        trust=np.where(frame.clipped, np.float32(CLIPPED_TRUST), np.float32(1.0)),
     )
 
 
@@ -98,40 +156,58 @@ def haze_of(response: LightResponse) -> tuple[FloatArray, float]:
     return haze, max(1.0 - float(haze @ haze), _SMALLEST_REST)
 
 
+def _small_contributions(
+    frame: LinearFrame, response: LightResponse, mask: Mask, factor: int
+) -> tuple[LightContributions, Mask]:
+    """Split a frame by light at 1/factor of the size, its colours averaged over the mask; also its mask."""
+    if factor == 1:
+        return contributions_from_frame(frame, response), mask
+    height, width = (max(1, round(length / factor)) for length in mask.shape)
+    rgb = np.empty((height, width, 3), np.float32)
+    trust, cover = np.empty((height, width), np.float32), np.empty((height, width), np.float32)
+    _shrink_kernel(flat(frame.rgb), frame.clipped, np.asarray(mask), rgb, trust, cover)
+    clipped: Mask = np.zeros((height, width), np.bool_)
+    small = contributions_from_frame(LinearFrame(rgb=rgb, clipped=clipped), response)
+    return replace(small, trust=trust), cover > 0.5
+
+
 @njit(cache=True, parallel=True, fastmath=FLAGS, error_model="numpy")
-def _shrink_kernel(rgb: FloatArray, mask: Mask, mean: FloatArray, cover: FloatArray) -> None:
+def _shrink_kernel(
+    rgb: FloatArray, clipped: Mask, mask: Mask, mean: FloatArray, trust: FloatArray, cover: FloatArray
+) -> None:
     """Fill the means over the mask of each small pixel's area, and how much of that is mask."""
     h, w = mask.shape
     height, width = cover.shape
-    zero, one = np.float32(0.0), np.float32(1.0)
+    zero, one, low = np.float32(0.0), np.float32(1.0), np.float32(CLIPPED_TRUST)
     for row in prange(height):
         top, bottom = np.float32(row * h / height), np.float32((row + 1) * h / height)
         r, g, b = np.zeros(w, np.float32), np.zeros(w, np.float32), np.zeros(w, np.float32)
-        c = np.zeros(w, np.float32)
+        t, c = np.zeros(w, np.float32), np.zeros(w, np.float32)
         for v in range(int(top), min(int(np.ceil(bottom)), h)):
             tall = min(np.float32(v + 1), bottom) - max(np.float32(v), top)
-            line, inside = rgb[v], mask[v]
+            line, inside, bound = rgb[v], mask[v], clipped[v]
             for u in range(w):  # without a branch: eight pixels at a time
                 part = tall if inside[u] else zero
                 r[u] += part * finite(line[3 * u])
                 g[u] += part * finite(line[3 * u + 1])
                 b[u] += part * finite(line[3 * u + 2])
+                t[u] += part * (low if bound[u] else one)
                 c[u] += part
         whole = (bottom - top) * np.float32(w / width)
         for column in range(width):
             left, right = np.float32(column * w / width), np.float32((column + 1) * w / width)
-            sr, sg, sb, sc = zero, zero, zero, zero
+            sr, sg, sb, st, sc = zero, zero, zero, zero, zero
             for u in range(int(left), min(int(np.ceil(right)), w)):
                 wide = min(np.float32(u + 1), right) - max(np.float32(u), left)
                 sr, sg, sb = sr + wide * r[u], sg + wide * g[u], sb + wide * b[u]
-                sc += wide * c[u]
+                st, sc = st + wide * t[u], sc + wide * c[u]
             scale = one / sc if sc > np.float32(1e-6) else zero
             mean[row, column, 0], mean[row, column, 1], mean[row, column, 2] = (
                 sr * scale,
                 sg * scale,
                 sb * scale,
             )
-            cover[row, column] = sc / whole
+            trust[row, column], cover[row, column] = st * scale, sc / whole
 
 
 def brighter_than(frame: LinearFrame, response: LightResponse, darkest: float, mask: Mask) -> Mask:
@@ -284,6 +360,14 @@ def row_between(
         for u in range(len(to)):
             left = line[first[u]]
             to[u] = left + part[u] * (line[first[u] + np.uint32(1)] - left)
+
+
+def _length_and_direction(vectors: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Split (h, w, 3) into length and direction; towards the viewer where there is no length."""
+    length = lengths_of(vectors)[..., 0]
+    some = (length > 1e-6)[..., None]
+    direction = np.where(some, vectors / np.maximum(length, 1e-6)[..., None], TOWARDS_VIEWER)
+    return length, direction.astype(np.float32)
 
 
 # The rectangle around a mask: where a figure fills a third of its frame, the rest shall take no time.

@@ -5,7 +5,7 @@ Per light: a Laplacian edge detector; the gradient's direction at an edge pixel 
 cardinal directions at a distance of ±2 pixels; pixels with a gradient below τ rejected; neighbours of
 agreeing direction joined into connected components, small ones rejected; the dark side of the rest seeds a
 flood fill that spreads to neighbours of equal or lower intensity.
-The robust one is `labels_by_prediction`.
+The robust one is `labels_by_surface`.
 """
 
 import cv2
@@ -13,6 +13,7 @@ import numpy as np
 
 from vntoolkit.arrays import BoolArray, Float32Array, FloatArray, Int64Array, Mask, VisibilityLabels
 from vntoolkit.checks import checks_kinds, require_mask
+from vntoolkit.geometry.camera import Camera
 from vntoolkit.native import njit
 from vntoolkit.options.normals import ShadowMethod
 from vntoolkit.photometry.frame import ALL_LIT, LinearFrame, labels_from_lit
@@ -23,7 +24,8 @@ from vntoolkit.shadows.contributions import (
     in_whole_image,
     window_around,
 )
-from vntoolkit.shadows.robust import labels_by_prediction
+from vntoolkit.shadows.robust import labels_by_surface
+from vntoolkit.shadows.surface import Surface
 
 # Of the published detector.
 _DIRECTIONS = np.array(
@@ -40,6 +42,7 @@ class ShadowDetector:
     """Finds the shadows of one frame after another; each frame stands alone.
 
     response: with light colours known, a light is told from a channel; else a channel stands for a light.
+    camera: for perspective; None for orthographic.
     """
 
     @checks_kinds
@@ -47,15 +50,19 @@ class ShadowDetector:
         self,
         response: LightResponse,
         method: ShadowMethod = ShadowMethod.ROBUST,
+        camera: Camera | None = None,
     ) -> None:
         self._method = method
         self._response = response
+        self._camera = camera
+        self.surface: Surface | None = None  # of the last frame, for `recover_normals`; None without one
 
     @checks_kinds
     def labels(self, frame: LinearFrame, mask: Mask | None = None) -> VisibilityLabels:
         """Return (h, w) labels, bit k set where light k arrives; 7 outside `mask`, where nobody may look."""
         inside = np.ones(frame.shape, dtype=np.bool_) if mask is None else np.asarray(mask)
         require_mask(inside, frame.shape)
+        self.surface = None
         if self._method is ShadowMethod.NONE or not inside.any():
             return np.full(frame.shape, ALL_LIT, dtype=np.uint8)
         window = window_around(inside)
@@ -64,7 +71,8 @@ class ShadowDetector:
             contributions = contributions_from_frame(part, self._response).contributions
             found = labels_from_lit(lit_by_edges(contributions, near))
         else:
-            found = labels_by_prediction(part, self._response, near)
+            camera = None if self._camera is None else self._camera.cropped(*window)
+            found, self.surface = labels_by_surface(part, self._response, near, camera)
         labels = np.where(near, found, ALL_LIT).astype(np.uint8)
         return in_whole_image(labels, window, frame.shape, ALL_LIT)
 
