@@ -292,7 +292,14 @@ def _explaining(
     return found if kept or choice is not MaterialSearch.AUTO else []
 
 
-def _warn_of_other_material(job: ReconstructionJob, frame: LinearFrame, mask: Mask, albedo: float) -> None:
+def _warn_of_other_material(
+    response: LightResponse,
+    choice: MaterialSearch | int,
+    frame: LinearFrame,
+    mask: Mask,
+    albedo: float,
+    lamps_in_words: str,
+) -> None:
     lit = mask & ~frame.clipped
     step = block_size(lit, _JUDGED)
     rgb, lit = frame.rgb[::step, ::step], lit[::step, ::step]
