@@ -200,7 +200,9 @@ class SurfaceFit:
         shifted = self._measured(last + common_shift(previous, normal_map), view)
         fits = _misfit(shifted.positions_px, normal_map.mask) < misfit - _JUMPED
         matches = shifted.registration.match.sum() > registered.match.sum()
-        return shifted if fits or (is_lost and matches) else first
+        return (
+            shifted if matches or (is_lost and fits) else first
+        )  # an outline changes where a part is hidden
 
     def _measured(
         self, positions_px: Points2, view: _View, correlated: tuple[FloatArray, ...] = ()
