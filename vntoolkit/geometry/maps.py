@@ -11,7 +11,7 @@ from vntoolkit.checks import require_mask, require_shape
 from vntoolkit.errors import BadInput
 
 HALF_WEIGHT_DEG = 12.0  # error of a normal that weighs half
-_LOOKED_AT_PX = 64  # rows and columns that tell axes and length
+_LOOKED_AT_PX = 16  # rows and columns that tell axes and length, in a hundredth of a frame's time
 _MOST_BACKWARD = 0.75  # of the pixels: noise turns fewer, other axes turn nearly all
 _LENGTH_OFF = 0.1  # from 1; rounding to 8 bits stays below 0.02
 NOISE_CELL_PX = 16  # side of the squares that noise is told by
