@@ -12,7 +12,7 @@ test: $(READY)
 	$(PYTHON) -m pytest -m "not slow" -n 2 --dist loadfile
 
 test-slow: $(READY)
-	$(PYTHON) -m pytest -m slow --durations=30
+	$(PYTHON) -m pytest -m slow -n 2 --dist loadfile --durations=30
 
 # Times of the default as ratios to a plain frame.
 ratios: $(READY)
