@@ -37,7 +37,7 @@ _PANELS: dict[str, tuple[str, ...]] = {
         "like", "frames", "gaps", "background", "transfer", "bayer", "demosaic", "bits", "footage", "motion",
         "skeleton", "fit", "truth", "single_light", "focal_px", "data", "labels", "label_size", "lights",
         "measured_convention", "reference_convention", "allow", "width", "height", "rate", "realtime", "size",
-        "seconds", "crop",
+        "seconds", "crop", "frame_rate_hz",
     ),
     "Subject": (
         "mask", "mask_level", "key", "distance", "corners", "size_mm", "pixel_mm", "ball_radius_mm",

@@ -119,6 +119,7 @@ CHECK_NAMES: dict[str, str] = {
     "size": "frames of another size than the rig's",
     "stray": "files that are no frames",
     "tag": "a transfer curve that the file states against the one it is read with",
+    "times": "times of frames that cannot be",
     "transfer": "a transfer curve that is not the footage's",
     "white-balance": "other gains of the channels than at calibration",
     "zoom": "another focal length than at calibration",
