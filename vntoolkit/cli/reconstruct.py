@@ -118,6 +118,7 @@ def _reconstructed(asked: ReconstructArguments) -> ReconstructionSummary:
         allow=asked.allow if asked.transfer is None else (*asked.allow, "tag"),
     )
     with ProgressBars() as bars:
+        bars.begin("prepare", None)
         return run(
             job,
             frames=asked.range,
