@@ -10,7 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from vntoolkit.errors import BadInput
+from vntoolkit.diagnosis.finding import judge
+from vntoolkit.diagnosis.inspection import finding_from_empty_frames
+from vntoolkit.errors import BadCapture, BadInput
 from vntoolkit.io.atomic import remove_leftovers, require_apart, write_text
 from vntoolkit.io.footage.captures import CaptureInfo
 from vntoolkit.io.footage.frame_range import FrameRange
@@ -33,6 +35,7 @@ Started = Callable[[int, int], None]
 Finished = Callable[[FrameEntry], None]
 BLOCK_FRAMES = 16
 _LARGE_ERROR_DEG = 20.0  # in the median, as of pixels that one light hardly reaches
+_WORST = 90.0  # percentile over the frames: the median would hide a third that is wrong
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,8 +44,8 @@ class ReconstructionSummary:
 
     lost: frames asked for that the video declares but does not hold. declared, came: frames that it
     declares, and that can be read. error_deg: expected error of the normals, the median over the
-    pixels and then over the frames asked for; None where it is not known. found_lamps: whether the lamps'
-    colours, which the rig does not hold, were found in the subject's shadows.
+    pixels of a frame, and of the frames the least of the worst tenth; None where not known. found_lamps:
+    whether the lamps' colours, which the rig does not hold, were found in the subject's shadows.
     """
 
     folder: Path
@@ -275,14 +278,16 @@ def _ended(
     spent = [entry.seconds for entry in done]
     timings = {"frame_s": float(np.median(spent)) if spent else 0.0, "wall_s": round(seconds, 3)}
     errors = [entry.error_deg for entry in done if entry.error_deg is not None]
-    error_deg = round(float(np.median(errors)), 2) if errors else None
+    error_deg = round(float(np.percentile(errors, _WORST, method="higher")), 2) if errors else None
     if error_deg is not None and error_deg > _LARGE_ERROR_DEG:
         logger.warning(
             "the expected error of the normals, which nine of ten stay within, is %.0f degrees in the median "
-            "(usual: below %.0f): noise, gloss, near lamps or another colour than the rig's; `vntoolkit "
-            "doctor` names what it finds, `vntoolkit report` shows where",
+            "of the worst frames (usual: below %.0f): noise, gloss, near lamps or another colour than the "
+            "rig's; `vntoolkit doctor` names what it finds, `vntoolkit report` shows where",
             error_deg, _LARGE_ERROR_DEG,
         )  # fmt: skip
+    if of_run and all(entry.shows_nothing for entry in of_run):
+        raise BadCapture(of_run[0].failure)
     failed = [entry for entry in made if entry.failure]
     summary = ReconstructionSummary(
         folder=root,
@@ -301,8 +306,12 @@ def _ended(
     findings += [
         FindingEntry(check="skipped", level="warning", text=f"skipped: {entry.failure}", frame=entry.number)
         for entry in of_run
-        if entry.failure
+        if entry.failure and not entry.shows_nothing
     ]
+    if empty := [entry.number for entry in of_run if entry.shows_nothing]:
+        of_all = finding_from_empty_frames(empty, len(of_run))
+        judge([of_all])
+        findings.append(FindingEntry(check=of_all.check, level=of_all.level.value, text=of_all.text))
     if summary.loss:
         findings.append(FindingEntry(check="cut-off", level="warning", text=summary.loss))
     ended = {"finished": manifests.now_utc(), "timings": timings, "error_deg": error_deg}
