@@ -85,6 +85,7 @@ _MOST_CLIPPED = 0.05  # of the subject
 
 # What `--allow` takes: every name that a finding of these checks, or one about the footage, can have.
 CHECK_NAMES: dict[str, str] = {
+    "backdrop": "a backdrop that counts as subject",
     "background": "a picture of the untouched gel that is none, or of another session",
     "black": "frames without a subject",
     "blur": "a picture out of focus, or of something that moved too fast",

@@ -16,7 +16,6 @@ from vntoolkit.diagnosis.checks import findings_from_evidence, findings_from_rig
 from vntoolkit.diagnosis.finding import Finding, Level
 from vntoolkit.diagnosis.lamp_nearness import Nearness, finding_from_nearness, fit_nearness
 from vntoolkit.diagnosis.rig_checks import check_stated_focal
-from vntoolkit.diagnosis.subject import BLACK, survey_of
 from vntoolkit.io.footage.captures import Capture, CaptureInfo, CaptureOptions, open_capture
 from vntoolkit.io.footage.frame_range import sampled
 from vntoolkit.io.footage.mattes import Mattes, open_mattes
@@ -97,12 +96,13 @@ def inspect_capture(
         frame = capture.frame(number)
         largest = frame.rgb.max(axis=2)
         clipped.append(float(frame.clipped.mean()))
-        dark.append(float((largest < BLACK * white).mean()))
+        dark.append(float((largest < evidences.BLACK * white).mean()))
         bright.append(float(np.percentile(largest, 99)))
     findings += _findings_from_range(max(bright) / white)
     shown: Sequence[int] = capture.present
     if rig is None or rig.gel is None or capture.background is None:
         from vntoolkit.diagnosis.steps import steps_of
+        from vntoolkit.diagnosis.subject import survey_of
 
         survey = survey_of(capture, mattes, capture.present)
         shown = survey.frames_like(survey.shown, capture.present)
@@ -280,7 +280,7 @@ def _findings_from_plateau(frames: Sequence[LinearFrame], mask: Mask | None) -> 
         shown = [frame.rgb[..., channel] if mask is None else frame.rgb[mask, channel] for frame in frames]
         values = np.concatenate([each.ravel() for each in shown])
         top = float(values.max(initial=0.0))
-        if not BLACK < top < _FULL:
+        if not evidences.BLACK < top < _FULL:
             continue
         counts = np.unique(values, return_counts=True)[1][-2 * _TOP_VALUES :]
         if len(counts) < 2 * _TOP_VALUES:
@@ -303,7 +303,7 @@ def _findings_from_plateau(frames: Sequence[LinearFrame], mask: Mask | None) -> 
 
 
 def _findings_from_range(brightest: float) -> Iterator[Finding]:
-    if not BLACK <= brightest < _DIM:
+    if not evidences.BLACK <= brightest < _DIM:
         return
     yield Finding(
         check="dim",

@@ -16,8 +16,9 @@ from itertools import combinations, pairwise
 import numpy as np
 
 from vntoolkit.arrays import Float32Array, FloatArray, Mask
+from vntoolkit.diagnosis.evidence import BLACK
 from vntoolkit.diagnosis.finding import Finding, Level
-from vntoolkit.diagnosis.subject import BLACK, Survey
+from vntoolkit.diagnosis.subject import Survey
 
 _PARTS = 4  # of the picture, along each side
 _LIT = 0.1  # of the brightest hundredth of a channel

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from vntoolkit.arrays import Float32Array, Int64Array, LinearImage, Mask
-from vntoolkit.diagnosis.evidence import brightest_channel, lengths_of
+from vntoolkit.diagnosis.evidence import BLACK, brightest_channel, lengths_of
 from vntoolkit.errors import NoSubject
 from vntoolkit.io.footage.captures import Capture
 from vntoolkit.io.footage.decoding import EncodedFrame, linear_frame_from_encoded
@@ -25,7 +25,6 @@ _BLOCKS = 32  # along the picture's longer side
 _SAMPLES = 8  # pixels read along each side of a block
 _LIT = 0.1  # of the brightest hundredth of the blocks of all frames
 _MUCH = 0.5  # of the blocks that are usually lit: a subject that is entering tells less
-BLACK = 0.01  # of full scale: where nothing is brighter, nothing is shown
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -11,7 +11,6 @@ import numpy.typing as npt
 
 from vntoolkit.arrays import BoolArray, Colours, FloatArray, LinearImage, Mask
 from vntoolkit.checks import require_shape
-from vntoolkit.diagnosis.subject import albedo_in_blocks
 from vntoolkit.errors import BadInput, NoSubject
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
 from vntoolkit.io.footage.decoding import EncodedFrame, linear_frame_from_encoded, resampler_of
@@ -229,6 +228,8 @@ class FrameProcessor:
 
         usual: in the frames that show it.
         """
+        from vntoolkit.diagnosis.subject import albedo_in_blocks
+
         mask = self._filmed_mask if matte is None else matte
         least = self._options.inversion.darkest * usual
         return albedo_in_blocks(frame, self._rig.transfer, self._central, least, self._background, mask)

@@ -15,10 +15,11 @@ from vntoolkit.arrays import Mask
 from vntoolkit.diagnosis.finding import Finding, Level, judge
 from vntoolkit.diagnosis.inspection import Examination, examine_capture
 from vntoolkit.errors import BadCapture, BadInput
-from vntoolkit.io.results.manifest import FindingEntry, Known, MaterialEntry
+from vntoolkit.io.results.manifest import Known, MaterialEntry
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline.frame_processor import FrameProcessor
+from vntoolkit.pipeline.recorded_findings import entries_of
 from vntoolkit.pipeline.request import Footage, Request, seeks_materials
 
 if TYPE_CHECKING:
@@ -63,10 +64,7 @@ def prepare(request: Request, footage: Footage, numbers: Sequence[int]) -> Known
     found |= {"blur_px": round(examined.blur_px, _DIGITS_OF_BLUR)}
     if rig.response.variation is None and not request.is_of_gel:
         found |= {"nearness": round(examined.nearness, _DIGITS_OF_NEARNESS)}
-    findings = [
-        FindingEntry(check=each.check, level=each.level.value, text=each.text)
-        for each in (*steps, *examined.findings)
-    ]
+    findings = entries_of([*steps, *examined.findings])
     known = Known.model_validate(found | {"findings": findings, "materials": materials})
     near = known.with_rig(request.rig)
     if seen is None or near.response.variation is None:
