@@ -74,7 +74,7 @@ LINES = {
     "(root)": 1900,
     "calibration": 5400,
     "cli": 3500,
-    "diagnosis": 3950,
+    "diagnosis": 4500,
     "evaluation": 1200,
     "geometry": 1800,
     "integration": 2200,
