@@ -107,11 +107,13 @@ def _require_light(colours: FloatArray, usable: Mask) -> None:
 class Design:
     """The linear system rows @ unknowns = colours.
 
-    rows: (n, 3) normals or (n, 4) normals and a constant. colours: (n, 3).
+    rows: (n, k), k = 3: normals, k = 4: normals and a constant. colours: (n, 3). flattest: smallest over
+    largest singular value of the rows that still determine the unknowns.
     """
 
     rows: Points
     colours: Points
+    flattest: float = _FLATTEST_DESIGN
 
     @classmethod
     def from_pairs(cls, normals: Points, colours: Points, *, with_ambient: bool) -> Self:
@@ -121,11 +123,11 @@ class Design:
 
     @property
     def unknown_count(self) -> int:
-        """3, or 4 with ambient."""
+        """k, of each channel."""
         return int(self.rows.shape[1])
 
     def solve(self, chosen: Mask) -> FloatArray:
-        """Least squares over the chosen pairs, (3 or 4, 3); refuses where they do not determine it."""
+        """Least squares over the chosen pairs, (k, 3); refuses where they do not determine it."""
         count = int(np.count_nonzero(chosen))
         if count < self.unknown_count:
             raise BadCalibration(
@@ -133,7 +135,7 @@ class Design:
                 f"at least {self.unknown_count} are needed, hundreds are better"
             )
         unknowns, _, _, singular = np.linalg.lstsq(self.rows[chosen], self.colours[chosen], rcond=None)
-        if not singular[-1] > _FLATTEST_DESIGN * singular[0]:
+        if not singular[-1] > self.flattest * singular[0]:
             raise BadCalibration(
                 "calibration: the normals seen do not determine the light response (they lie in one plane or "
                 "in too narrow a cone); show the target from more directions"
