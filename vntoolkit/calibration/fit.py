@@ -20,7 +20,7 @@ from vntoolkit.photometry.rig import FitQuality
 _FIRST_SHADOW_SHARE = 0.15  # of a channel's 99th percentile: what surely is lit before anything is known
 _ROUNDING = 1e-9  # of the largest colour: residuals below it are arithmetic, not evidence
 _FLATTEST_DESIGN = 5e-3  # smallest over largest singular value of the normals that still determine M
-_SMALLEST_DETERMINANT = 0.02  # of three unit normals (or of four with ambient): below it noise decides
+_SMALLEST_DETERMINANT = 0.02  # of three unit normals: below it noise decides
 _LARGEST_CONDITION = 1e3  # of a sampled M: no such rig is usable
 _SCORED_PAIRS = 4000  # a cost over more pairs ranks the samples no better
 _DRAWS = 2000  # minimal samples of MSAC
@@ -214,7 +214,8 @@ def fit_by_msac(
 def _models_from_samples(design: Design, samples: IntArray) -> FloatArray:
     """Solve all minimal samples (k, s) at once; returns the sound ones, (m, s, 3)."""
     rows = design.rows[samples]
-    sound = np.abs(np.linalg.det(rows)) > _SMALLEST_DETERMINANT
+    lengths = np.linalg.norm(rows, axis=2).prod(axis=1)
+    sound = np.abs(np.linalg.det(rows)) > _SMALLEST_DETERMINANT * lengths
     models = np.linalg.solve(rows[sound], design.colours[samples[sound]])
     singular = np.linalg.svd(models[:, :3], compute_uv=False)
     return models[singular[:, 2] * _LARGEST_CONDITION > singular[:, 0]]
