@@ -10,7 +10,7 @@ import numpy as np
 
 from vntoolkit.arrays import LinearImage, Mask
 from vntoolkit.checks import require_shape
-from vntoolkit.errors import BadCapture
+from vntoolkit.errors import BadCapture, NoSubject
 from vntoolkit.io.files import reading_limits
 from vntoolkit.io.footage.captures import Capture, CaptureInfo, CaptureOptions, open_capture
 from vntoolkit.io.footage.decoding import EncodedFrame, linear_frame_from_encoded
@@ -42,14 +42,14 @@ class Mattes:
         return self._of_frame is not None
 
     def of(self, frame: EncodedFrame) -> Mask | None:
-        """Return the (h, w) mask of a frame, None for all pixels; raise `BadCapture` where it is empty."""
+        """Return the (h, w) mask of a frame, None for all pixels; raise `NoSubject` where it is empty."""
         if self._of_frame is None:
             return self.still
         mask = self._of_frame(frame)
         if self.still is not None:
             mask = mask & self.still
         if not mask.any():
-            raise BadCapture(
+            raise NoSubject(
                 f"{frame.name}: its matte holds no pixel of the subject; lower --mask-level or --key"
             )
         return mask
