@@ -16,7 +16,6 @@ from itertools import combinations, pairwise
 import numpy as np
 
 from vntoolkit.arrays import Float32Array, FloatArray, Mask
-from vntoolkit.diagnosis.evidence import BLACK
 from vntoolkit.diagnosis.finding import Finding, Level
 from vntoolkit.diagnosis.subject import Survey
 
@@ -102,7 +101,7 @@ def _parts_of(shape: tuple[int, ...]) -> FloatArray:
 def _changes_of_parts(light: Float32Array, lit: Mask, parts: FloatArray) -> FloatArray:
     """Return log changes (p, 3) of the channels against each other, of parts that all lamps reach."""
     top = np.percentile(light, 99, axis=(1, 2)).max(axis=0)
-    reached = (light.max(axis=0) > np.maximum(_LIT * top, BLACK)).all(axis=2) & lit.all(axis=0)
+    reached = (light.max(axis=0) > _LIT * top).all(axis=2) & lit.all(axis=0)
     logs = np.log(np.maximum(light, _DARKEST, dtype=np.float64))
     change = (logs[1] - logs[0])[reached]
     change -= np.median(change, axis=1, keepdims=True)
