@@ -161,6 +161,7 @@ def _set_up_logging() -> None:
 
     logging.basicConfig(level=logging.WARNING, format="vntoolkit: %(message)s")
     logging.getLogger("vntoolkit.diagnosis").setLevel(logging.INFO)  # what could not be checked is said
+    logging.getLogger("vntoolkit.native").setLevel(logging.INFO)  # what is compiled takes a while
     if not sys.warnoptions:  # numpy's lines about a division tell a user nothing: what came of it is checked
         import warnings
 

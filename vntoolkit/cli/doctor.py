@@ -222,8 +222,9 @@ def _stated_and_done(report: CaptureReport) -> list[tuple[str, str, str]]:
     rows.append(("camera", *(turned if info.orientation else ("upright, or nothing stated", "nothing"))))
     if info.kind.value == "video":
         rows.append(("lines", "not interlaced", "nothing"))
-        uneven = ("uneven", "kept in the manifest; export plays at the mean rate")
-        rows.append(("times", *(uneven if info.times_s else ("even", "nothing"))))
+        uneven = ("uneven", "exports show every frame at its time")
+        even = ("not to be used" if info.unusable_times else "even", f"played at {info.frame_rate_hz:g} Hz")
+        rows.append(("times", *(uneven if info.times_s else even)))
         declared = f"{info.promised_frame_count}"
         lost = f"{info.frame_count} came; the loss is said, with exit status 1"
         same = info.promised_frame_count == info.frame_count

@@ -278,10 +278,9 @@ def _cylinder(asked: CylinderArguments) -> evaluate.CylinderEvaluation:
         with progress_bar("cylinder", 2 * len(result.numbers)) as advance:
             found = run(result, asked.truth, lambda _number: advance(1))
         write_json(out / "cylinder.json", found)
-        times = np.array([error.frame for error in found.frames]) / found.frame_rate_hz
         mean, std = (np.array([getattr(e, name) for e in found.frames]) for name in ("mean_deg", "std_deg"))
         title = f"{found.mean_deg:.2f} ± {found.std_deg:.2f} degrees over all frames"
-        figures.write_error_over_time(out / "cylinder.png", times, mean, std, title)
+        figures.write_error_over_time(out / "cylinder.png", np.array(found.times_s), mean, std, title)
     return found
 
 

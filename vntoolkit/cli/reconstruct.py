@@ -50,6 +50,8 @@ class RunArguments(
     gaps: Named[Gaps, GapsName] = named(Gaps.REFUSE)
     """What to do where numbers of an image sequence are missing: refuse the sequence, or skip these frames.
     The other frames keep their numbers."""
+    frame_rate_hz: float | None = None
+    """Frames per second that the footage was filmed at. Default: what it states; 30 for images."""
     scheduler: str | None = None
     """Address of a Dask scheduler, tcp://host:8786, or "local". Workers must see the same folders."""
     overwrite: bool = False
@@ -63,7 +65,12 @@ class RunArguments(
     def job(self, source: str, rig: Rig, folder: Path, mask: Path | None, **more: Any) -> Request:
         """Return the reconstruction of a capture; more: further fields of it."""
         require_known_checks(self.allow, CHECK_NAMES)
-        given: dict[str, Any] = {"allow": self.allow, "gaps": self.gaps, **more}
+        given: dict[str, Any] = {
+            "allow": self.allow,
+            "gaps": self.gaps,
+            "frame_rate_hz": self.frame_rate_hz,
+            **more,
+        }
         return Request(
             source=source,
             rig=rig,
@@ -111,6 +118,7 @@ def _reconstructed(asked: ReconstructArguments) -> ReconstructionSummary:
         allow=asked.allow if asked.transfer is None else (*asked.allow, "tag"),
     )
     with ProgressBars() as bars:
+        bars.begin("prepare", None)
         return run(
             job,
             frames=asked.range,

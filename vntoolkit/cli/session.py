@@ -46,6 +46,7 @@ def _outcomes(asked: SessionArguments) -> list[CaptureOutcome]:
         for name, source in names_from_sources(tuple(map(str, asked.sources))).items()
     }
     with ProgressBars() as bars:
+        bars.begin("prepare", None)
         return run_session(
             captures,
             tracking=TrackingOptions(method=asked.method) if asked.track else None,

@@ -121,6 +121,7 @@ CHECK_NAMES: dict[str, str] = {
     "steps": "a lamp, a channel or the picture that changes at once",
     "stray": "files that are no frames",
     "tag": "a transfer curve that the file states against the one it is read with",
+    "times": "times of frames that cannot be",
     "transfer": "a transfer curve that is not the footage's",
     "white-balance": "other gains of the channels than at calibration",
     "zoom": "another focal length than at calibration",

@@ -12,8 +12,8 @@ from vntoolkit.options.calibration import ResponseModel, ResponseModelName
 class Features(Enum):
     """What is matched between frames."""
 
-    TRACKS = "tracks"  # skin followed by optical flow: video, up to 4 degrees from frame to frame
-    SIFT = "sift"  # features matched: photographs, up to 20 degrees apart; slower
+    TRACKS = "tracks"  # skin followed by optical flow, poses by factorisation: up to 4 degrees a frame
+    SIFT = "sift"  # features matched, poses by COLMAP's mapping: photographs, up to 20 degrees apart; slower
 
 
 FeaturesName: TypeAlias = Literal["tracks", "sift"]
@@ -72,16 +72,6 @@ class FollowOptions(Options):
     degrees apart)."""
     silhouettes: SilhouetteOptions = field(default_factory=SilhouetteOptions)
     tracks: TrackOptions = field(default_factory=TrackOptions)
-
-
-class PoseStart(Enum):
-    """Initialisation of the poses."""
-
-    FACTORISATION = "factorisation"  # of tracks over many close frames; a long lens helps
-    MAPPING = "mapping"  # frame by frame from pairs; frames may lie 20 degrees apart
-
-
-PoseStartName: TypeAlias = Literal["factorisation", "mapping"]
 
 
 LEAST_TRACKS = 60
@@ -245,9 +235,6 @@ class HeadOptions(Options):
     head_shape: Named[HeadShape, HeadShapeName] = named(HeadShape.REFINED)
     """Shape that gives the normals: from silhouettes only, fused with stereo, or refined by the normals of
     all frames."""
-    pose_start: Named[PoseStart | None, PoseStartName | None] = named(None)
-    """Initialisation of the poses; default: factorisation for tracks; mapping for features, or factorisation
-    where mapping fails."""
     following: FollowOptions = field(default_factory=FollowOptions)
     poses: PoseOptions = field(default_factory=PoseOptions)
     hull: HullOptions = field(default_factory=HullOptions)

@@ -131,6 +131,11 @@ def _checked_footage(request: Request, frames: FrameRange, jobs: int, scheduler:
         from vntoolkit.pipeline.cluster import require_scheduler
 
         require_scheduler(scheduler)
+    if info.unusable_times:
+        logger.warning(
+            "%s: %s; the frames are played at %g per second: give --frame-rate-hz with the rate that they "
+            "were filmed at", request.source, info.unusable_times, info.frame_rate_hz,
+        )  # fmt: skip
     if info.left_out:
         names = text_of_names([path.name for path in info.left_out])
         logger.warning("%s: left out, since the frames are named otherwise: %s", request.source, names)

@@ -221,11 +221,12 @@ def _run(
     on_frame: Callable[[], None],
     paint_of: PaintReader | None,
 ) -> int:
-    numbers, rate = source.frames_to_track, source.manifest.input.playing_rate_hz
+    numbers, filmed = source.frames_to_track, source.manifest.input
+    rate, times_s = filmed.rate_of(numbers), filmed.times_of(numbers)
     at = numbers.index(template)
     back, ahead = numbers[:at][::-1], numbers[at + 1 :]
     mesh, first = tracker.mesh, tracker.state
-    with MeshSequenceWriter(target, mesh, frame_rate_hz=rate, resume=True) as writer:
+    with MeshSequenceWriter(target, mesh, frame_rate_hz=rate, times_s=times_s, resume=True) as writer:
         _truncate_to_memory(writer, tracker, at + 1)
         resumed = writer.frame_count
         if resumed <= at:  # the part before the template is not yet in place

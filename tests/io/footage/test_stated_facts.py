@@ -15,9 +15,11 @@ from tests.pipeline.conftest import RESPONSE, SIZE, dome_normals
 from vntoolkit.__main__ import main
 from vntoolkit.errors import BadCapture
 from vntoolkit.geometry.camera import Camera
+from vntoolkit.io.footage import video
 from vntoolkit.io.footage.captures import CaptureOptions, open_capture
 from vntoolkit.io.footage.images import read_image
 from vntoolkit.io.footage.orientation import Orientation
+from vntoolkit.io.results.manifest import read_manifest
 from vntoolkit.io.rigs import read_rig, write_rig
 from vntoolkit.photometry.response import rgb_from_normals
 from vntoolkit.photometry.rig import Rig
@@ -314,6 +316,52 @@ def test_times_of_a_varying_rate_reach_the_manifest(tmp_path):
     assert main([*command, "--shadows", "none", "--out", str(tmp_path / "out")]) == 0
     entry = json.loads((tmp_path / "out/reconstruction.json").read_text())["input"]
     assert entry["times_s"] == [time / 1000 for time in times]
+
+
+@pytest.mark.parametrize(
+    ("times", "said"),
+    [
+        ([0, 0, 0, 0], "the file gives all 4 frames one time"),
+        ([0, 33, 33, 66], "the file gives 1 of 4 frames the time of another"),
+        ([0, 33, 66, 3_600_000_000], "the file puts two of its frames 1,000 hours apart"),
+        ([k * 3_600_000_000 for k in range(4)], "the file puts two of its frames 1,000 hours apart"),
+    ],
+)
+def test_times_that_cannot_be_are_said_with_what_is_done_instead(tmp_path, caplog, times, said):
+    normals, mask = dome_normals(31.5)
+    light = np.where(mask[..., None], rgb_from_normals(normals, RESPONSE), 0).clip(0, 1)
+    frames = [np.rint(light * (250 - 20 * k)).astype(np.uint8) for k in range(4)]
+    _film(tmp_path / "a.mkv", frames, times=times)
+    capture = open_capture(tmp_path / "a.mkv")
+    assert capture.info.times_s == ()
+    for number in (2, 0, 3):  # each frame is the one that was stored in its place
+        assert (capture.encoded(number).values == frames[number]).all()
+    camera = Camera.orthographic(width=SIZE[1], height=SIZE[0])
+    write_rig(tmp_path / "rig.json", Rig(camera=camera, response=RESPONSE))
+    command = ["reconstruct", str(tmp_path / "a.mkv"), "--rig", str(tmp_path / "rig.json"), "--to", "normals"]
+    command += ["--shadows", "none", "--frames", "0:3:2"]
+    assert main([*command, "--out", str(tmp_path / "out")]) == 0
+    assert f"{said}; the frames are played at 25 per second: give --frame-rate-hz" in caplog.text
+    caplog.clear()
+    assert main([*command, "--out", str(tmp_path / "b"), "--frame-rate-hz", "12.5"]) == 0
+    assert "are played at" not in caplog.text
+    filmed = read_manifest(tmp_path / "b").input
+    assert filmed.times_of((0, 2)).tolist() == [0, 0.16]
+    assert filmed.rate_of((0, 2)) == 6.25
+
+
+def test_falling_times_are_told_from_frames_that_are_stored_out_of_order():
+    packets = video._Packets(frames=[(9, True, None), (5, True, None), (0, True, None)])
+    assert video._wrong_with_times(packets) == "the file's times fall from one frame to the next"
+    builds_on_later = video._Packets(frames=[(0, True, None), (9, False, None), (5, False, None)])
+    assert video._wrong_with_times(builds_on_later) == ""
+
+
+def test_the_rate_of_even_times_counts_not_the_headers(tmp_path):
+    _film(tmp_path / "a.mkv", _levels(4), times=[0, 10_000, 20_000, 30_000])
+    info = open_capture(tmp_path / "a.mkv").info
+    assert info.frame_rate_hz == pytest.approx(0.1)
+    assert info.times_s == ()
 
 
 def test_b_frames_in_avi_come_in_the_order_they_are_shown(tmp_path):

@@ -12,7 +12,7 @@ import numpy as np
 from vntoolkit.arrays import ByteArray, Float64Array, FloatArray, IntArray, Mask, Points2
 from vntoolkit.calibration.head.colmap import camera_for_colmap, colmap_from_pixels, pixels_from_colmap
 from vntoolkit.calibration.head.silhouettes import box_of_mask
-from vntoolkit.calibration.head.tracks import Tracks, contrast_in_8_bits, pairs_shared
+from vntoolkit.calibration.head.tracks import Tracks, pairs_shared
 from vntoolkit.errors import BadCalibration
 from vntoolkit.geometry.camera import Camera
 
@@ -37,22 +37,20 @@ class SiftBuilder:
     _positions: list[Points2] = field(default_factory=list)
     _descriptors: list[FloatArray] = field(default_factory=list)
     _extractor: Any = None
-    _image: ByteArray = field(default_factory=lambda: np.zeros((1, 1), np.uint8))
 
-    def add(self, contrast: FloatArray, mask: Mask) -> int:
-        """Find a frame's features; returns how many.
+    def add(self, contrast: ByteArray, mask: Mask) -> None:
+        """Find a frame's features.
 
-        contrast: (h, w) local contrast. mask: (h, w) the silhouette.
+        contrast: (h, w) `local_contrast`. mask: (h, w) the silhouette.
         """
-        self._image = image = contrast_in_8_bits(contrast)
         if self._extractor is None:
             self._extractor = _extractor()
         if not mask.any():
             self._positions.append(np.zeros((0, 2)))
             self._descriptors.append(np.zeros((0, 128), np.float32))
-            return 0
+            return
         rows, columns = box_of_mask(mask)
-        own = np.ascontiguousarray(image[rows, columns])
+        own = np.ascontiguousarray(contrast[rows, columns])
         keypoints, found = self._extractor.extract_from_uint8_array(own)
         positions = np.array([[each.x, each.y] for each in keypoints]).reshape(-1, 2)
         positions = pixels_from_colmap(positions) + np.array([columns.start, rows.start])
@@ -64,12 +62,6 @@ class SiftBuilder:
         length = np.maximum(np.linalg.norm(descriptors[kept], axis=1, keepdims=True), 1e-9)
         self._positions.append(positions[kept])
         self._descriptors.append(descriptors[kept] / length)
-        return len(kept)
-
-    @property
-    def image(self) -> ByteArray:
-        """The last frame's local contrast (h, w) in 8 bits, 0 before the first frame."""
-        return self._image
 
     def finish(self) -> Tracks:
         """Match the pairs of frames and join the matches into tracks over at least three frames."""

@@ -19,7 +19,7 @@ from vntoolkit.io.footage.luma_detail import LumaDetail
 from vntoolkit.io.footage.mosaics import is_raw, read_raw
 from vntoolkit.io.footage.pixel_formats import YuvConversion
 from vntoolkit.io.footage.sequence import CaptureFiles, CaptureKind, find_capture_files, text_of_names
-from vntoolkit.io.footage.video import VideoReader
+from vntoolkit.io.footage.video import Timing, VideoReader
 from vntoolkit.options.footage import Gaps, SensorOptions
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
@@ -35,9 +35,9 @@ class CaptureOptions:
     or a linear (h, w, 3) array), subtracted from every frame; None for none. max_megapixels: refuse larger
     frames before memory is asked for; None for the limit of `reading_limits`. sensor: how samples of the
     sensor itself are read. response: of the scene's lights; with it, and the transfer, fine detail of video
-    with subsampled chroma is taken from its luma. frame_rate_hz: of an image sequence, if it is known (a
-    video brings its own). gaps: what to do where numbers of an image sequence are missing; frames after a gap
-    keep their numbers. threads: for decoding.
+    with subsampled chroma is taken from its luma. frame_rate_hz: at which it was filmed, whatever
+    a video states; None for what it states. gaps: what to do where numbers of an image sequence are missing;
+    frames after a gap keep their numbers. threads: for decoding.
     """
 
     transfer: Transfer | None = None
@@ -72,8 +72,9 @@ class CaptureInfo:
     `Transfer` reads it where it can be undone; empty for none. conversion: of YUV to RGB. orientation: what
     was done to turn the frames upright, empty for nothing; width and height are those of the upright picture.
     times_s: when each frame of a video of varying rate is shown, seconds from the first; empty for an even
-    rate. stated_focal_px: focal length that a photograph states, as that of a picture of 24×36 mm with the
-    same diagonal; None for none.
+    rate. unusable_times: what is wrong with the times that a video states, empty for nothing.
+    stated_focal_px: focal length that a photograph states, as that of a picture of 24×36 mm with the same
+    diagonal; None for none.
     """
 
     kind: CaptureKind
@@ -91,6 +92,7 @@ class CaptureInfo:
     conversion: YuvConversion = field(default_factory=YuvConversion)
     orientation: str = ""
     times_s: tuple[float, ...] = ()
+    unusable_times: str = ""
     numbers: tuple[int, ...] = ()
     missing: Mapping[int, str] = field(default_factory=dict)
     left_out: tuple[Path, ...] = ()
@@ -241,7 +243,7 @@ def open_capture(source: Path | str, options: CaptureOptions | None = None) -> C
             sensor=options.sensor,
             detail=detail,
         )
-        return Capture(_info_of_video(reader), options, reader, str(source))
+        return Capture(_info_of_video(reader, options.frame_rate_hz), options, reader, str(source))
     if found.missing and options.gaps is Gaps.REFUSE:
         raise BadCapture(
             f"{source}: {len(found.missing)} of {found.numbers[-1] + 1} files of the sequence are missing: "
@@ -251,13 +253,14 @@ def open_capture(source: Path | str, options: CaptureOptions | None = None) -> C
     return Capture(_info_of_images(found, options), options, None, str(source))
 
 
-def _info_of_video(reader: VideoReader) -> CaptureInfo:
+def _info_of_video(reader: VideoReader, rate_hz: float | None) -> CaptureInfo:
+    timing = reader.timing if rate_hz is None else Timing(rate_hz=rate_hz)
     return CaptureInfo(
         kind=CaptureKind.VIDEO,
         width=reader.width,
         height=reader.height,
         frame_count=len(reader.index.times),
-        frame_rate_hz=reader.frame_rate_hz,
+        frame_rate_hz=timing.rate_hz,
         pixel_format=reader.pixel_format.name,
         bits=reader.bits,
         codec=reader.codec,
@@ -267,7 +270,8 @@ def _info_of_video(reader: VideoReader) -> CaptureInfo:
         stated_transfer=reader.stated_transfer,
         conversion=reader.conversion,
         orientation=reader.orientation.text,
-        times_s=reader.uneven_times_s,
+        times_s=timing.uneven_s,
+        unusable_times=timing.unusable,
     )
 
 
