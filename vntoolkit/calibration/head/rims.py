@@ -12,8 +12,8 @@ import cv2
 import numpy as np
 
 from vntoolkit.arrays import BoolArray, Faces, Float32Array, FloatArray, IntArray, Mask, Points, Vectors
-from vntoolkit.calibration.head.samples import LightFrame
-from vntoolkit.calibration.head.skin import LEAST_COSINE, sampled
+from vntoolkit.calibration.head.light import LEAST_COSINE
+from vntoolkit.calibration.head.samples import LightFrame, sampled
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.photometry.response import LightResponse
