@@ -74,7 +74,7 @@ def fit_hull(views: Sequence[SilhouetteView], box: Box, options: HullOptions) ->
     cell = float(np.max(box.high - box.low)) / options.hull_cells
     low = box.low - cell
     counts = np.ceil((box.high - low) / cell).astype(int) + 2
-    outlines = [_signed_distance_px(view.mask) for view in views]
+    outlines = [signed_distance_px(view.mask) for view in views]
     values = np.empty(counts, np.float32)
     for slab, places in zip(values, np.moveaxis(np.indices(values.shape), 0, -1), strict=True):
         slab.ravel()[:] = _carved(views, outlines, box, places.reshape(-1, 3) * cell + low)
@@ -120,7 +120,7 @@ def _distance_in_view(view: SilhouetteView, outline: Float32Array, points: Point
     return np.where(known, distance * moved[:, 2] / view.camera.matrix[0, 0], np.inf)
 
 
-def _signed_distance_px(mask: Mask) -> Float32Array:
+def signed_distance_px(mask: Mask) -> Float32Array:
     """Distance to the outline in pixels, positive inside; the image's edge is no outline."""
     inner = cv2.copyMakeBorder(mask.astype(np.uint8), 1, 1, 1, 1, cv2.BORDER_REPLICATE)
     inside = cv2.distanceTransform(inner, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
