@@ -126,14 +126,6 @@ def calibrate_head(
         with clock.stage("refinement"):
             refined = refine_head(
                 shape,
-                lambda mesh: fit_shape(
-                    carved.views,
-                    hull=carved.grid,
-                    about=mesh,
-                    contrasts=footage.contrasts,
-                    stereo=options.stereo.finely(),
-                    fusion=options.fusion.finely(),
-                ),
                 carved.motion.camera,
                 partial(turn.frames, chosen),
                 light,
