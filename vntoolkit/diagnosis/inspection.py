@@ -109,7 +109,7 @@ def inspect_capture(
         shown = survey.frames_like(survey.shown, capture.present)
         if empty := sorted(set(capture.present) - set(shown)):
             findings.append(finding_from_empty_frames(empty, len(capture.present)))
-        steps = steps_of(survey)
+        steps = steps_of(survey, None if rig is None else rig.response)
         findings += steps.findings
         shown = survey.frames_like(steps.alike, shown)
     findings += findings_from_capture(capture, rig, *mattes.judged(capture, shown or capture.present))

@@ -16,8 +16,10 @@ from itertools import combinations, pairwise
 import numpy as np
 
 from vntoolkit.arrays import Float32Array, FloatArray, Mask
+from vntoolkit.diagnosis.evidence import lengths_of
 from vntoolkit.diagnosis.finding import Finding, Level
 from vntoolkit.diagnosis.subject import Survey
+from vntoolkit.photometry.response import LightResponse
 
 _PARTS = 4  # of the picture, along each side
 _LIT = 0.1  # of the brightest hundredth of a channel
@@ -56,14 +58,24 @@ class Steps:
     alike: list[int]
 
 
-def steps_of(survey: Survey) -> Steps:
-    """Find what changes at once between frames that show the subject."""
+def steps_of(survey: Survey, response: LightResponse | None = None) -> Steps:
+    """Find what changes at once between frames that show the subject.
+
+    response: tells by how much normals turn then; None for unknown.
+    """
     seen = np.flatnonzero(survey.shows)
     light = survey.light[seen]
     numbers = [survey.numbers[k] for k in seen]
     steps = list(_lamp_steps(light, survey.lit[seen]))
     flips = dict(_flips(light, numbers))
-    findings = [_finding_of_lamp(lamp, steps, numbers) for lamp in sorted({step.lamp for step in steps})]
+    findings = []
+    for lamp in sorted({step.lamp for step in steps}):
+        of_lamp = [step for step in steps if step.lamp == lamp]
+        turned = None
+        if response is not None:
+            lit = survey.lit[seen]
+            turned = max(_turned_deg(light[s.place - 1][lit[s.place - 1]], s, response) for s in of_lamp)
+        findings.append(_finding_of_lamp(of_lamp, numbers, turned))
     findings += [_finding_of_flip(numbers[place], how) for place, how in flips.items()]
     findings += _findings_of_lag(light, numbers)
     alone = {step.place for step in steps if step.alone}
@@ -91,8 +103,8 @@ def _lamp_steps(light: Float32Array, lit: Mask) -> Iterator[LampStep]:
         for k in sorted(places):
             if k in ended:
                 continue
-            back = shared[k, lamp] + shared[k + 1, lamp] if k + 1 in places else shared[k, lamp]
-            alone = abs(back) < abs(shared[k, lamp]) / 2
+            after = shared[k : k + 2, lamp].sum() if k + 1 < len(shared) else shared[k, lamp]
+            alone = abs(after) < abs(shared[k, lamp]) / 2
             ended.update([k + 1] if alone else [])
             yield LampStep(lamp=lamp, place=k + 1, factor=float(np.exp(shared[k, lamp])), alone=alone)
 
@@ -133,8 +145,18 @@ def _is_shared(changes: FloatArray, count: int) -> bool:
     return bool(gain > 0.5 * np.log(len(changes)) + np.log(_LAMPS * count))
 
 
-def _finding_of_lamp(lamp: int, steps: list[LampStep], numbers: list[int]) -> Finding:
-    of_lamp = [step for step in steps if step.lamp == lamp]
+def _turned_deg(light: Float32Array, step: LampStep, response: LightResponse) -> float:
+    """Return the angle between normals of light (n, 3) before a step and after it, median, degrees."""
+    after = light.astype(np.float64)
+    after[:, step.lamp] *= step.factor
+    first, second = ((each - response.ambient) @ response.inverse.T for each in (light, after))
+    lengths = np.maximum(lengths_of(first) * lengths_of(second), 1e-12)
+    cosines = np.clip((first * second).sum(axis=1) / lengths, -1.0, 1.0)
+    return float(np.degrees(np.median(np.arccos(cosines)))) if len(light) else 0.0
+
+
+def _finding_of_lamp(of_lamp: list[LampStep], numbers: list[int], turned_deg: float | None) -> Finding:
+    """turned_deg: by as much normals turn; None for unknown."""
     shown = [
         f"{step.factor:.2f} times as bright "
         + (f"in frame {at} alone" if step.alone else f"from frame {at} on")
@@ -145,10 +167,11 @@ def _finding_of_lamp(lamp: int, steps: list[LampStep], numbers: list[int]) -> Fi
     return Finding(
         check="steps",
         level=Level.WARNING,
-        problem=f"the {_NAMES[lamp]} lamp, or its channel's white balance, changes at once: "
+        problem=f"the {_NAMES[of_lamp[0].lamp]} lamp, or its channel's white balance, changes at once: "
         f"{', '.join(shown)}{more}",
         measured=f"{max((step.factor for step in of_lamp), key=lambda factor: abs(np.log(factor))):.2f} "
-        "times the light against the other lamps",
+        "times the light against the other lamps"
+        + ("" if turned_deg is None else f", which turns normals by {turned_deg:.0f} degrees"),
         expected=f"1 within {_LARGEST_CHANGE:.0%}",
         remedy="normals are wrong there; film again with steady lamps and locked white balance, or "
         "reconstruct the other frames alone (--frames)",
