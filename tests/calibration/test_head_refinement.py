@@ -18,9 +18,6 @@ from vntoolkit.calibration.head.light_correction import light_errors
 from vntoolkit.calibration.head.positions import PositionSolver
 from vntoolkit.calibration.head.refinement import refine_head, thinned
 from vntoolkit.calibration.head.samples import LightFrame
-from vntoolkit.calibration.head.shape_noise import (
-    shared_errors,
-)
 from vntoolkit.calibration.head.skin import SkinColours, SkinLight, SkinNormals, skin_normals
 from vntoolkit.geometry.mesh import Mesh, vertex_normals
 from vntoolkit.options.head import LightOptions
@@ -115,18 +112,6 @@ def skin_of(normals, noise):
         weight=np.ones((1, len(normals)), np.float32),
         agrees=np.ones((1, len(normals)), bool),
     )
-
-
-def test_stereo_tells_along_which_axis_normals_are_off():
-    points, faces = egg_surface(2800)
-    normals = vertex_normals(points, faces)
-    axis = np.array([0.0, 1.0, 0.0])
-    tilted = normals + 0.1 * (axis - normals * normals[:, 1:2])
-    tilted /= np.linalg.norm(tilted, axis=1, keepdims=True)
-    egg = Mesh(vertices=points, faces=faces, normals=normals)
-    shared = shared_errors(egg, skin_of(tilted, 0.01), 0.3 * PIXEL)
-    assert 0.1 < shared[1] < 0.15  # where the surface is steep, less of an axis lies in it
-    assert shared[[0, 2]] == pytest.approx(0.0, abs=0.02)
 
 
 def test_a_thinned_mesh_has_the_edges_asked_and_stays_closed_and_in_place():

@@ -27,8 +27,7 @@ class PositionSolver:
     less where normals are noisy, n_ij the mean measured normal of an edge, a_i a vertex's area, s_i its
     position by stereo, and λ the crossover, the wavelength at which both count the same for the surest
     normals. Vertices move along the surface's own normals, which makes the sum quadratic in how far: folds of
-    stereo lead nowhere. shared: (3,) standard deviation of errors that neighbours share, for edges along
-    each axis: they do not average out, and make the wavelength shorter.
+    stereo lead nowhere.
     """
 
     def __init__(
@@ -37,7 +36,6 @@ class PositionSolver:
         faces: Faces,
         skin: SkinNormals,
         crossover: float,
-        shared: FloatArray | None = None,
     ) -> None:
         self.stereo, self._faces = stereo, faces
         pairs, cosines, sines = edge_cotangents(stereo, faces)
@@ -46,9 +44,6 @@ class PositionSolver:
         normals, noise = normals_and_noise(own, skin)
         cotangents = 0.5 * cosines / np.maximum(sines, _SMALLEST_SINE)
         variance = 0.5 * (noise[self._from] ** 2 + noise[self._to] ** 2)
-        if shared is not None:
-            along = np.square(stereo[self._to] - stereo[self._from])
-            variance += along @ shared**2 / np.maximum(along.sum(axis=1), _TINY)
         self._weight = np.clip(cotangents, _LEAST_COTANGENT, _MOST_COTANGENT) * LEAST_NOISE**2 / variance
         self._stiffness = (2.0 * np.pi / crossover) ** 2
         self._anchor = self._stiffness * areas(stereo, faces)

@@ -31,7 +31,6 @@ from vntoolkit.calibration.head.shape_noise import (
     mean_edge,
     measured_noise,
     patches_of,
-    shared_errors,
 )
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.mesh import Mesh, vertex_normals
@@ -137,7 +136,6 @@ def _refined_finely(
         stereo.faces,
         skin,
         crossover * _CROSSOVER_NOISE / LEAST_NOISE,  # errors as they are measured make it shorter
-        shared_errors(stereo, skin, pixel),
     )
     solver.add_contours(rim_targets(placed, camera, frames(), lit.response), levels.stereo)
     return stereo.with_vertices(solver.positions()), colours, skin

@@ -12,7 +12,6 @@ from vntoolkit.geometry.mesh import Mesh
 PATCH_PX = 16.0  # side: larger than the windows of stereo blur, smaller than a nose
 SHARED_NOISE = 0.03  # rad, of all normals: what errors of M and of poses left on a scanned head
 LEAST_SEEN = 0.5  # of a patch's area, in a frame
-_REGION_PX = 96.0  # side: so large that stereo's ripples average out, smaller than a cheek
 _MEDIAN_OF_ONE, _MEDIAN_OF_TWO = 0.455, 0.693  # of χ² with so many components, over its mean
 _TINY = 1e-30
 
@@ -50,32 +49,6 @@ def measured_noise(mesh: Mesh, stereo: Points, skin: SkinNormals, pixel: float) 
     density = mean_square(moved[:, None], side) / _MEDIAN_OF_ONE * side**2
     shared = mean_square(skin.normals - mesh.normals, 3.0 * side) / _MEDIAN_OF_TWO
     return NoiseLevels(stereo=density, shared=float(np.sqrt(max(shared, SHARED_NOISE**2))))
-
-
-def shared_errors(stereo: Mesh, skin: SkinNormals, pixel: float) -> FloatArray:
-    """Return the standard deviation (3,) of slopes along each axis, of errors alike over whole patches.
-
-    Stereo tells it. Along the turn's axis it may be several times larger: tint, ambient light and M are told
-    there by the lamps' heights alone.
-    """
-    assert stereo.normals is not None
-    side = _REGION_PX * pixel
-    area = np.where(skin.known, areas(stereo.vertices, stereo.faces), 0.0)
-    patch, _ = patches_of(stereo, side)
-    total = np.bincount(patch, area)
-    kept = total > LEAST_SEEN * side**2
-    if not kept.any():
-        return np.full(3, SHARED_NOISE)
-    off, normal = (
-        np.stack([np.bincount(patch, area * column)[kept] / total[kept] for column in values.T], axis=1)
-        for values in (skin.normals - stereo.normals, stereo.normals)
-    )
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    off -= normal * (off * normal).sum(axis=1, keepdims=True)
-    across = np.sqrt(np.maximum(1.0 - normal**2, 0.5))  # what of an axis lies in the surface
-    slopes = np.abs(off) / across
-    facing = [column[steep <= 0.5] for column, steep in zip(slopes.T, normal.T**2, strict=True)]
-    return np.array([1.4826 * np.median(each) if each.size else SHARED_NOISE for each in facing])
 
 
 def patches_of(mesh: Mesh, side: float) -> tuple[IntArray, IntArray]:
