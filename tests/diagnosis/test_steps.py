@@ -11,7 +11,7 @@ from vntoolkit.diagnosis.subject import survey_of
 from vntoolkit.io.footage.captures import open_capture
 from vntoolkit.io.footage.images import write_png
 from vntoolkit.io.footage.mattes import Mattes
-from vntoolkit.photometry.response import rgb_from_normals
+from vntoolkit.photometry.response import LightResponse, rgb_from_normals
 
 H, W, COUNT = 90, 120, 12
 
@@ -41,11 +41,11 @@ def _film(seed: int) -> np.ndarray:
     return np.stack(frames)
 
 
-def _steps(folder: Path, frames: np.ndarray) -> Steps:
+def _steps(folder: Path, frames: np.ndarray, response: LightResponse | None = None) -> Steps:
     for number, light in enumerate(frames):
         write_png(folder / f"f{number:02d}.png", np.rint(light * 255).astype(np.uint8))
     capture = open_capture(folder)
-    return steps_of(survey_of(capture, Mattes(), capture.present))
+    return steps_of(survey_of(capture, Mattes(), capture.present), response)
 
 
 SEEDS = range(8)
@@ -62,6 +62,20 @@ def test_a_lamp_that_is_dimmed_is_named_with_its_first_frame(seed: int, tmp_path
     assert f"the {name} lamp" in found.problem
     assert "from frame 6 on" in found.problem
     assert set(steps.alike) in ({*range(6)}, {*range(6, 12)})
+
+
+def test_the_angle_that_a_dimmed_lamp_turns_normals_by_is_told(tmp_path: Path) -> None:
+    frames = _film(3)
+    response = random_response(np.random.default_rng([3, 77]))
+    inverse = np.linalg.inv(response.matrix)
+    lit = frames[5].max(axis=-1) > 0.3 * frames.max()
+    true = frames[5][lit] @ inverse.T
+    false = frames[5][lit] * [1, 1, 0.5] @ inverse.T
+    frames[6:, ..., 2] *= 0.5
+    cosines = (true * false).sum(1) / np.linalg.norm(true, axis=1) / np.linalg.norm(false, axis=1)
+    (found,) = _steps(tmp_path, frames, response).findings
+    told = float(found.measured.split("turns normals by ")[1].split()[0])
+    assert told == pytest.approx(np.degrees(np.median(np.arccos(cosines))), abs=2.0)
 
 
 @pytest.mark.parametrize("seed", SEEDS)

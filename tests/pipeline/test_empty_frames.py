@@ -12,6 +12,7 @@ from vntoolkit.__main__ import main
 from vntoolkit.diagnosis.inspection import inspect_capture
 from vntoolkit.errors import BadCapture
 from vntoolkit.geometry.camera import Camera
+from vntoolkit.io.footage.captures import open_capture
 from vntoolkit.io.footage.images import write_png
 from vntoolkit.io.results.manifest import read_manifest
 from vntoolkit.io.rigs import write_rig
@@ -57,6 +58,14 @@ def test_dark_frames_before_the_subject_are_listed_and_change_no_other(tmp_path:
         for kind in ("normals", "depth"):
             name = f"{kind}/{{:06d}}.exr"
             assert with_dark[name.format(before + number)] == alone[name.format(number)]
+
+
+def test_dim_footage_of_many_bits_shows_its_subject(tmp_path: Path) -> None:
+    capture = _film(tmp_path / "footage", [1.0] * 3)
+    for path in sorted(Path(capture.source).iterdir()):
+        light = open_capture(path).frame(0).rgb / 200
+        write_png(path, np.rint(light * 65535).astype(np.uint16))
+    assert reconstruct(job_of(capture, tmp_path / "out")).done == 3
 
 
 def test_a_subject_that_leaves_stops_no_run(tmp_path: Path) -> None:

@@ -24,7 +24,7 @@ from rich.progress import (
 from rich.table import Table
 from rich.text import Text
 
-from vntoolkit.errors import BadInput, CannotWrite, VntError
+from vntoolkit.errors import BadInput, CannotWrite, VntError, escaped
 from vntoolkit.io.atomic import cannot_write, write_text
 from vntoolkit.io.files import parse_json, read_text
 
@@ -37,12 +37,17 @@ Advance = Callable[[int], None]
 
 def print_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]], names: int = 1) -> None:
     """Print a table whose first `names` columns are texts and whose others are numbers."""
-    table = Table(title=title, title_justify="left", title_style="bold", box=None, pad_edge=False)
+    table = Table(title=escaped(title), title_justify="left", title_style="bold", box=None, pad_edge=False)
     for i, column in enumerate(columns):
         table.add_column(column, justify="left" if i < names else "right", no_wrap=True)
     for row in rows:
-        table.add_row(*row)
+        table.add_row(*map(escaped, row))
     plain_console().print(table)
+
+
+def say(line: object, *, flush: bool = False) -> None:
+    """Print one line; names in it may hold what a terminal would obey."""
+    print(escaped(str(line)), flush=flush)
 
 
 def plain_console() -> Console:
@@ -55,18 +60,18 @@ def plain_console() -> Console:
 
 def print_next(*words: str | Path) -> None:
     """Print the command that most often comes next, ready to paste into a shell."""
-    print(f"next: {shlex.join(['vntoolkit', *map(str, words)])}")
+    say(f"next: {shlex.join(['vntoolkit', *map(str, words)])}")
 
 
 def print_next_program(written: Path) -> None:
     """Print the command that opens a mesh or an animation in MeshLab or Blender, ready to paste."""
     suffix = written.suffix.lower()
     if suffix in MESH:
-        print(f"next: {shlex.join(['meshlab', str(written)])}")
+        say(f"next: {shlex.join(['meshlab', str(written)])}")
         return
     reader = "import_scene.gltf" if suffix == ".glb" else "wm.usd_import"
     command = f"import bpy; bpy.ops.{reader}(filepath={str(written)!r})"
-    print(f"next: {shlex.join(['blender', '--python-expr', command])}")
+    say(f"next: {shlex.join(['blender', '--python-expr', command])}")
 
 
 def write_json(path: Path, content: Any) -> None:
@@ -142,7 +147,7 @@ def progress_bar(title: str, total: int | None, done: int = 0) -> Iterator[Advan
     console = Console(stderr=True)
     hidden = not (console.is_terminal or console.is_jupyter)
     with Progress(*columns, console=console, disable=hidden, transient=True) as progress:
-        task = progress.add_task(title, total=total, completed=done, before=done)
+        task = progress.add_task(escaped(title), total=total, completed=done, before=done)
         yield lambda n: progress.advance(task, n)
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from vntoolkit.cli.given import rig_with_corners
-from vntoolkit.cli.output import ProgressBars, print_next
+from vntoolkit.cli.output import ProgressBars, print_next, say
 from vntoolkit.cli.verb import command, verb
 from vntoolkit.diagnosis.checks import CHECK_NAMES
 from vntoolkit.diagnosis.finding import require_known_checks
@@ -158,15 +158,15 @@ def _with_transfer(rig: Rig, transfer: str | None) -> Rig:
 def _report(source: str, summary: ReconstructionSummary) -> None:
     for record in summary.skipped:
         if not record.shows_nothing:  # these are told together
-            print(f"skipped frame {record.number}: {record.failure}")
+            say(f"skipped frame {record.number}: {record.failure}")
     resumed = f", {summary.resumed} from before" if summary.resumed else ""
     rate = f" ({summary.done / summary.seconds:.1f} frames/s)" if summary.done > 1 else ""
     total = summary.frames + summary.lost
-    print(f"{summary.folder}: {summary.done} of {total} frames done{resumed}{rate}")
+    say(f"{summary.folder}: {summary.done} of {total} frames done{resumed}{rate}")
     if summary.found_lamps:
-        print("the rig does not hold the lamps' colours: they were found in the subject's shadows")
+        say("the rig does not hold the lamps' colours: they were found in the subject's shadows")
     if summary.error_deg is not None:
-        print(
+        say(
             f"expected error of the normals: {summary.error_deg:.1f} degrees, the median over the pixels of "
             "the worst frames"
         )

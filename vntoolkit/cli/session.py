@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from vntoolkit.cli.output import ProgressBars, print_next
+from vntoolkit.cli.output import ProgressBars, print_next, say
 from vntoolkit.cli.reconstruct import RunArguments
 from vntoolkit.cli.verb import command, verb
 from vntoolkit.errors import BadInput, VntError
@@ -90,7 +90,7 @@ def _mask_of(name: str, mask: Path | None) -> Path | None:
 def _report(out: Path, outcomes: list[CaptureOutcome]) -> None:
     """Print a line for each capture; raise `VntError` where one failed."""
     for outcome in outcomes:
-        print(f"{out / outcome.name}: {_line(outcome)}")
+        say(f"{out / outcome.name}: {_line(outcome)}")
     failed = [outcome.name for outcome in outcomes if outcome.failure or _loss(outcome)]
     if failed:
         raise VntError(f"{len(failed)} of {len(outcomes)} captures failed: {', '.join(failed)}")

@@ -97,6 +97,7 @@ CHECK_NAMES: dict[str, str] = {
     "codec": "a lossy codec",
     "condition": "M multiplies noise",
     "cone": "a calibration that saw few directions",
+    "contacts": "contacts of a ball that are no circles",
     "corners": "a gel seen aslant, without its corners",
     "cut-off": "a file that ends early",
     "drift": "exposure or white balance that changes while filming",

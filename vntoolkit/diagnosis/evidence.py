@@ -14,7 +14,6 @@ from vntoolkit.photometry import transfer as transfers
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.rig import Rig
 
-BLACK = 0.01  # of full scale: where nothing is brighter, nothing is shown
 FEW_PIXELS = 50_000  # of an averaged frame: enough for every statistic here, and a run starts within a second
 # … but not where found materials meet. What lies near seams is left out, and of narrow patches nothing
 # remained but some 60 pixels, in two places, which looked like turned lamps.

@@ -29,6 +29,7 @@ from vntoolkit.photometry.transfer import Transfer, TransferCurve
 
 _LOSSLESS_IMAGES = frozenset({"PNG", "TIFF", "BMP", "EXR", "raw"})
 _CAMERA_CODECS = frozenset({"JPEG", "h264", "hevc", "mjpeg", "prores", "av1", "vp9"})
+_BLACK = 0.01  # of full scale
 _CLIPPED_TOO_MUCH = 0.001
 _CLIPPED_FATALLY = 0.1
 _FULL = 0.995  # of full scale
@@ -96,7 +97,7 @@ def inspect_capture(
         frame = capture.frame(number)
         largest = frame.rgb.max(axis=2)
         clipped.append(float(frame.clipped.mean()))
-        dark.append(float((largest < evidences.BLACK * white).mean()))
+        dark.append(float((largest < _BLACK * white).mean()))
         bright.append(float(np.percentile(largest, 99)))
     findings += _findings_from_range(max(bright) / white)
     shown: Sequence[int] = capture.present
@@ -108,7 +109,7 @@ def inspect_capture(
         shown = survey.frames_like(survey.shown, capture.present)
         if empty := sorted(set(capture.present) - set(shown)):
             findings.append(finding_from_empty_frames(empty, len(capture.present)))
-        steps = steps_of(survey)
+        steps = steps_of(survey, None if rig is None else rig.response)
         findings += steps.findings
         shown = survey.frames_like(steps.alike, shown)
     findings += findings_from_capture(capture, rig, *mattes.judged(capture, shown or capture.present))
@@ -289,7 +290,7 @@ def _findings_from_plateau(frames: Sequence[LinearFrame], mask: Mask | None) -> 
         shown = [frame.rgb[..., channel] if mask is None else frame.rgb[mask, channel] for frame in frames]
         values = np.concatenate([each.ravel() for each in shown])
         top = float(values.max(initial=0.0))
-        if not evidences.BLACK < top < _FULL:
+        if not _BLACK < top < _FULL:
             continue
         counts = np.unique(values, return_counts=True)[1][-2 * _TOP_VALUES :]
         if len(counts) < 2 * _TOP_VALUES:
@@ -312,7 +313,7 @@ def _findings_from_plateau(frames: Sequence[LinearFrame], mask: Mask | None) -> 
 
 
 def _findings_from_range(brightest: float) -> Iterator[Finding]:
-    if not evidences.BLACK <= brightest < _DIM:
+    if not _BLACK <= brightest < _DIM:
         return
     yield Finding(
         check="dim",

@@ -16,17 +16,22 @@ from itertools import combinations, pairwise
 import numpy as np
 
 from vntoolkit.arrays import Float32Array, FloatArray, Mask
-from vntoolkit.diagnosis.evidence import BLACK
+from vntoolkit.diagnosis.evidence import lengths_of
 from vntoolkit.diagnosis.finding import Finding, Level
 from vntoolkit.diagnosis.subject import Survey
+from vntoolkit.photometry.response import LightResponse
 
 _PARTS = 4  # of the picture, along each side
 _LIT = 0.1  # of the brightest hundredth of a channel
+_ALIKE = 1e-12  # squared light of frames that are the same
 _DARKEST = 0.001  # of full scale: a lamp that is out leaves so much
 _LARGEST_CHANGE = 0.02  # of the light; 2 % in one channel turn a normal by about half a degree
 _ROUNDING = 0.002  # least spread of log changes: of 8 bits
 _FEWEST_CHANGES = 3  # have a spread
 _FEWEST_IN_A_ROW = 6  # frames, to tell channels that were filmed apart
+_TELLING = 0.05  # of a log: what parts of the picture at rest leave by any lag
+_LAGS_TRIED = 6  # pairs of channels, each way round
+_LAMPS = 3
 _NAMES = ("red", "green", "blue")
 _FLIPS = {"left and right": (slice(None), slice(None, None, -1)), "top and bottom": (slice(None, None, -1),),
           "by 180 degrees": (slice(None, None, -1),) * 2}  # fmt: skip
@@ -53,14 +58,24 @@ class Steps:
     alike: list[int]
 
 
-def steps_of(survey: Survey) -> Steps:
-    """Find what changes at once between frames that show the subject."""
+def steps_of(survey: Survey, response: LightResponse | None = None) -> Steps:
+    """Find what changes at once between frames that show the subject.
+
+    response: tells by how much normals turn then; None for unknown.
+    """
     seen = np.flatnonzero(survey.shows)
     light = survey.light[seen]
     numbers = [survey.numbers[k] for k in seen]
     steps = list(_lamp_steps(light, survey.lit[seen]))
     flips = dict(_flips(light, numbers))
-    findings = [_finding_of_lamp(lamp, steps, numbers) for lamp in sorted({step.lamp for step in steps})]
+    findings = []
+    for lamp in sorted({step.lamp for step in steps}):
+        of_lamp = [step for step in steps if step.lamp == lamp]
+        turned = None
+        if response is not None:
+            lit = survey.lit[seen]
+            turned = max(_turned_deg(light[s.place - 1][lit[s.place - 1]], s, response) for s in of_lamp)
+        findings.append(_finding_of_lamp(of_lamp, numbers, turned))
     findings += [_finding_of_flip(numbers[place], how) for place, how in flips.items()]
     findings += _findings_of_lag(light, numbers)
     alone = {step.place for step in steps if step.alone}
@@ -76,7 +91,7 @@ def _lamp_steps(light: Float32Array, lit: Mask) -> Iterator[LampStep]:
     parts = _parts_of(light.shape[1:3])
     changes = [_changes_of_parts(light[k : k + 2], lit[k : k + 2], parts) for k in range(len(light) - 1)]
     shared = np.array([np.median(each, axis=0) if len(each) else np.zeros(3) for each in changes])
-    for lamp in range(3):
+    for lamp in range(_LAMPS):
         places = [
             k
             for k in _standing_out(shared[:, lamp])
@@ -88,8 +103,8 @@ def _lamp_steps(light: Float32Array, lit: Mask) -> Iterator[LampStep]:
         for k in sorted(places):
             if k in ended:
                 continue
-            back = shared[k, lamp] + shared[k + 1, lamp] if k + 1 in places else shared[k, lamp]
-            alone = abs(back) < abs(shared[k, lamp]) / 2
+            after = shared[k : k + 2, lamp].sum() if k + 1 < len(shared) else shared[k, lamp]
+            alone = abs(after) < abs(shared[k, lamp]) / 2
             ended.update([k + 1] if alone else [])
             yield LampStep(lamp=lamp, place=k + 1, factor=float(np.exp(shared[k, lamp])), alone=alone)
 
@@ -102,7 +117,7 @@ def _parts_of(shape: tuple[int, ...]) -> FloatArray:
 def _changes_of_parts(light: Float32Array, lit: Mask, parts: FloatArray) -> FloatArray:
     """Return log changes (p, 3) of the channels against each other, of parts that all lamps reach."""
     top = np.percentile(light, 99, axis=(1, 2)).max(axis=0)
-    reached = (light.max(axis=0) > np.maximum(_LIT * top, BLACK)).all(axis=2) & lit.all(axis=0)
+    reached = (light.max(axis=0) > _LIT * top).all(axis=2) & lit.all(axis=0)
     logs = np.log(np.maximum(light, _DARKEST, dtype=np.float64))
     change = (logs[1] - logs[0])[reached]
     change -= np.median(change, axis=1, keepdims=True)
@@ -118,7 +133,8 @@ def _standing_out(changes: FloatArray) -> list[int]:
     order, count = np.argsort(-np.abs(changes)), len(changes)
     left = np.append(np.cumsum((changes[order] ** 2)[::-1])[::-1], 0.0)[: count // 2 + 1]
     least = count * _ROUNDING**2
-    costs = count / 2 * np.log(np.maximum(left, least)) + 1.5 * np.log(count) * np.arange(len(left))
+    each = 0.5 * np.log(count) + np.log(_LAMPS * count)
+    costs = count / 2 * np.log(np.maximum(left, least)) + each * np.arange(len(left))
     return order[: int(np.argmin(costs))].tolist()
 
 
@@ -126,11 +142,21 @@ def _is_shared(changes: FloatArray, count: int) -> bool:
     """Tell whether parts (p,) change alike rather than by chance at one of so many places."""
     spread = float(np.sum((changes - changes.mean()) ** 2)) + len(changes) * _ROUNDING**2
     gain = len(changes) / 2 * np.log(np.sum(changes**2) / spread)
-    return bool(gain > 0.5 * np.log(len(changes)) + np.log(count))
+    return bool(gain > 0.5 * np.log(len(changes)) + np.log(_LAMPS * count))
 
 
-def _finding_of_lamp(lamp: int, steps: list[LampStep], numbers: list[int]) -> Finding:
-    of_lamp = [step for step in steps if step.lamp == lamp]
+def _turned_deg(light: Float32Array, step: LampStep, response: LightResponse) -> float:
+    """Return the angle between normals of light (n, 3) before a step and after it, median, degrees."""
+    after = light.astype(np.float64)
+    after[:, step.lamp] *= step.factor
+    first, second = ((each - response.ambient) @ response.inverse.T for each in (light, after))
+    lengths = np.maximum(lengths_of(first) * lengths_of(second), 1e-12)
+    cosines = np.clip((first * second).sum(axis=1) / lengths, -1.0, 1.0)
+    return float(np.degrees(np.median(np.arccos(cosines)))) if len(light) else 0.0
+
+
+def _finding_of_lamp(of_lamp: list[LampStep], numbers: list[int], turned_deg: float | None) -> Finding:
+    """turned_deg: by as much normals turn; None for unknown."""
     shown = [
         f"{step.factor:.2f} times as bright "
         + (f"in frame {at} alone" if step.alone else f"from frame {at} on")
@@ -141,10 +167,11 @@ def _finding_of_lamp(lamp: int, steps: list[LampStep], numbers: list[int]) -> Fi
     return Finding(
         check="steps",
         level=Level.WARNING,
-        problem=f"the {_NAMES[lamp]} lamp, or its channel's white balance, changes at once: "
+        problem=f"the {_NAMES[of_lamp[0].lamp]} lamp, or its channel's white balance, changes at once: "
         f"{', '.join(shown)}{more}",
         measured=f"{max((step.factor for step in of_lamp), key=lambda factor: abs(np.log(factor))):.2f} "
-        "times the light against the other lamps",
+        "times the light against the other lamps"
+        + ("" if turned_deg is None else f", which turns normals by {turned_deg:.0f} degrees"),
         expected=f"1 within {_LARGEST_CHANGE:.0%}",
         remedy="normals are wrong there; film again with steady lamps and locked white balance, or "
         "reconstruct the other frames alone (--frames)",
@@ -152,16 +179,18 @@ def _finding_of_lamp(lamp: int, steps: list[LampStep], numbers: list[int]) -> Fi
 
 
 def _flips(light: Float32Array, numbers: list[int]) -> Iterator[tuple[int, str]]:
-    """Yield the place of a frame that is far more like the one before if mirrored, and how."""
-    for k in range(len(light) - 1):
-        if numbers[k + 1] - numbers[k] != 1:
-            continue
-        plain = float(np.sum((light[k + 1] - light[k]) ** 2))
+    """Yield the place of a frame that is like the one before only if mirrored, and how.
+
+    As it is, it must differ more than it does mirrored, and more than frames usually do from the next.
+    """
+    plain = np.sum(np.diff(light, axis=0) ** 2, axis=(1, 2, 3)) + _ALIKE
+    usual = float(np.median(plain)) if len(plain) else 0.0
+    for k in np.flatnonzero(np.diff(numbers) == 1):
         left = {how: float(np.sum((light[k + 1][flip] - light[k]) ** 2)) for how, flip in _FLIPS.items()}
         how = min(left, key=lambda each: left[each])
-        gain = _PARTS**2 / 2 * np.log((plain + 1e-12) / (left[how] + 1e-12))
+        gain = _PARTS**2 / 2 * np.log(plain[k] / max(left[how] + _ALIKE, usual))
         if gain > np.log(len(_FLIPS) * len(light)):
-            yield k + 1, how
+            yield int(k) + 1, how
 
 
 def _finding_of_flip(number: int, how: str) -> Finding:
@@ -186,21 +215,30 @@ def _findings_of_lag(light: Float32Array, numbers: list[int]) -> Iterator[Findin
             left = [
                 _left_by_lag(changes[..., first], changes[..., second], sign * lag, parts) for lag in range(3)
             ]
-            told = (left[0] > 0) & (left[1] > 0) & (left[2] > 0)
-            logs = [np.log(each[told]) for each in left]
-            if told.sum() > 1 and all(
-                float(np.mean(logs[k] - logs[1])) > 0 and _is_shared(logs[k] - logs[1], 6) for k in (0, 2)
-            ):
+            told = np.all([each > 0 for each in left], axis=0)
+            same, apart, further = (np.log(each[told]) for each in left)
+            if _mostly_more(same - apart) and _mostly_more(further - apart):
                 early, late = (first, second) if sign > 0 else (second, first)
                 yield Finding(
                     check="steps",
                     level=Level.WARNING,
                     problem=f"the {_NAMES[late]} channel was filmed a frame after the {_NAMES[early]} one",
                     measured="the changes of a frame before leave "
-                    f"{np.exp(np.mean(logs[1] - logs[0])):.0%} of what those of the same frame leave",
+                    f"{np.exp(np.mean(apart - same)):.0%} of what those of the same frame leave",
                     expected="all three at once",
                     remedy="move the channel by a frame, or film with lamps that are on together",
                 )
+
+
+def _mostly_more(logs: FloatArray) -> bool:
+    """Tell whether parts of the picture (p,) have more left by one lag than by another, not by chance."""
+    telling = logs[np.abs(logs) > _TELLING]
+    count, more = len(telling), int((telling > 0).sum())
+    if 2 * more <= count:
+        return False
+    shares = np.array([more, count - more]) / count
+    gain = count * (np.log(2.0) + float(np.sum(shares * np.log(np.maximum(shares, 1e-12)))))
+    return bool(gain > 0.5 * np.log(count) + np.log(_LAGS_TRIED))
 
 
 def _left_by_lag(first: FloatArray, second: FloatArray, lag: int, parts: FloatArray) -> FloatArray:

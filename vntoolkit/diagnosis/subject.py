@@ -11,19 +11,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from vntoolkit.arrays import Float32Array, Int64Array, LinearImage, Mask
-from vntoolkit.diagnosis.evidence import BLACK, brightest_channel, lengths_of
+from vntoolkit.diagnosis.evidence import brightest_channel, lengths_of
 from vntoolkit.errors import NoSubject
 from vntoolkit.io.footage.captures import Capture
 from vntoolkit.io.footage.decoding import EncodedFrame, linear_frame_from_encoded
 from vntoolkit.io.footage.frame_range import sampled
 from vntoolkit.io.footage.mattes import Mattes
 from vntoolkit.photometry.response import LightResponse
-from vntoolkit.photometry.transfer import Transfer
+from vntoolkit.photometry.transfer import Transfer, linear_from_encoded
 
 _SURVEYED = 256  # frames, of more evenly spread ones: reading takes a small part of the time of a run
 _BLOCKS = 32  # along the picture's longer side
 _SAMPLES = 8  # pixels read along each side of a block
 _LIT = 0.1  # of the brightest hundredth of the blocks of all frames
+_BLACK_LEVELS, _MOST_BITS = 2.5, 16  # as many are noise of what is stored
 _MUCH = 0.5  # of the blocks that are usually lit: a subject that is entering tells less
 
 
@@ -32,13 +33,12 @@ class Survey:
     """The light of frames in blocks.
 
     numbers: of the frames, in order. light: (n, v, u, 3), linear mean colours of blocks, 0 where one does
-    not count. top: the brightest hundredth of their channels. lit: (n, v, u), where the subject may
+    not count. lit: (n, v, u), where the subject may
     be. shows: (n,), True for a frame that shows as much of a subject as is usual.
     """
 
     numbers: tuple[int, ...]
     light: Float32Array
-    top: float
     lit: Mask
     shows: Mask
 
@@ -66,10 +66,12 @@ def survey_of(capture: Capture, mattes: Mattes, numbers: Sequence[int]) -> Surve
     light = np.stack([_light(capture, mattes, frame) for frame in frames])
     brightest = brightest_channel(light)
     top = float(np.percentile(brightest, 99, axis=(1, 2)).max())
-    lit: Mask = brightest > max(_LIT * top, BLACK * capture.transfer.diffuse_white)
+    transfer, levels = capture.transfer, 2.0 ** min(capture.info.bits, _MOST_BITS) - 1
+    black = linear_from_encoded(np.array(transfer.black_level + _BLACK_LEVELS / levels), transfer)
+    lit: Mask = brightest > max(_LIT * top, float(black))
     shares = lit.mean(axis=(1, 2))
     usual = float(np.median(shares[shares > 0])) if shares.any() else 1.0
-    return Survey(numbers=seen, light=light, top=top, lit=lit, shows=shares >= _MUCH * usual)
+    return Survey(numbers=seen, light=light, lit=lit, shows=(shares > 0) & (shares >= _MUCH * usual))
 
 
 def _light(capture: Capture, mattes: Mattes, frame: EncodedFrame) -> Float32Array:

@@ -95,7 +95,7 @@ def _surveyed(
             f"{footage.capture.name}: no frame shows a subject: all that was looked at is black; are the "
             "lamps on, the lens open and the mask on the subject?"
         )
-    steps = steps_of(survey)
+    steps = steps_of(survey, request.rig.response)
     judge(steps.findings, request.allow)
     alike = survey.frames_like(steps.alike, there)
     return numbers if len(alike) == len(there) else alike, steps.findings

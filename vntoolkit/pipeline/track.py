@@ -24,7 +24,6 @@ from vntoolkit.options.tracking import Tracker, TrackingOptions
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.pipeline import tracked_folder
-from vntoolkit.pipeline.best_frame import best_frame
 from vntoolkit.pipeline.opened_result import OpenedResult, open_result
 from vntoolkit.pipeline.options import option_values
 from vntoolkit.pipeline.tracked_folder import TRACKS, TRACKS_VERSION
@@ -104,6 +103,8 @@ def track(
     there = [n for n in numbers if has_maps(source, n)]
     template = job.template
     if template is None:  # seams were drawn on a frame that is known before
+        from vntoolkit.pipeline.best_frame import best_frame
+
         template = there[0] if job.seams else best_frame(source, there)
     if template not in there:
         raise BadInput(

@@ -7,7 +7,8 @@ import cv2
 import numpy as np
 from scipy import ndimage
 
-from vntoolkit.arrays import FloatArray, IntArray, Mask, Points, Vector3, read_only
+from vntoolkit.arrays import Float32Array, FloatArray, IntArray, Mask, Points, Vector3, read_only
+from vntoolkit.calibration.head.samples import sampled
 from vntoolkit.checks import require_same_size
 from vntoolkit.errors import BadCalibration
 from vntoolkit.geometry.camera import Camera
@@ -73,7 +74,7 @@ def fit_hull(views: Sequence[SilhouetteView], box: Box, options: HullOptions) ->
     cell = float(np.max(box.high - box.low)) / options.hull_cells
     low = box.low - cell
     counts = np.ceil((box.high - low) / cell).astype(int) + 2
-    outlines = [_signed_distance_px(view.mask) for view in views]
+    outlines = [signed_distance_px(view.mask) for view in views]
     values = np.empty(counts, np.float32)
     for slab, places in zip(values, np.moveaxis(np.indices(values.shape), 0, -1), strict=True):
         slab.ravel()[:] = _carved(views, outlines, box, places.reshape(-1, 3) * cell + low)
@@ -100,7 +101,7 @@ def largest_part(values: FloatArray, cell: float) -> FloatArray:
 
 
 def _carved(
-    views: Sequence[SilhouetteView], outlines: Sequence[FloatArray], box: Box, points: Points
+    views: Sequence[SilhouetteView], outlines: Sequence[Float32Array], box: Box, points: Points
 ) -> FloatArray:
     """Return the signed distance (n,) of points (n, 3)."""
     distances = np.stack(
@@ -111,23 +112,15 @@ def _carved(
     return np.minimum(inside, np.minimum(points - box.low, box.high - points).min(axis=1))
 
 
-_ROW = 256  # OpenCV resamples images, no lists: points are laid out in rows
-
-
-def _distance_in_view(view: SilhouetteView, outline: FloatArray, points: Points) -> FloatArray:
+def _distance_in_view(view: SilhouetteView, outline: Float32Array, points: Points) -> FloatArray:
     """Signed distance (n,) in length units; infinite where the view does not show the point."""
     moved = view.camera_from_head.apply(points)
-    pixels = np.full((-(-len(points) // _ROW), _ROW, 2), -9.0, dtype=np.float32)
-    pixels.reshape(-1, 2)[: len(points)] = view.camera.project(moved)
-    u, v = np.ascontiguousarray(pixels[..., 0]), np.ascontiguousarray(pixels[..., 1])
-    sampled = cv2.remap(
-        outline, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=np.inf
-    ).ravel()[: len(points)]
-    known = np.isfinite(sampled) & (moved[:, 2] > 0)
-    return np.where(known, sampled * moved[:, 2] / view.camera.matrix[0, 0], np.inf)
+    distance = sampled(outline, view.camera.project(moved), outside=np.inf)
+    known = np.isfinite(distance) & (moved[:, 2] > 0)
+    return np.where(known, distance * moved[:, 2] / view.camera.matrix[0, 0], np.inf)
 
 
-def _signed_distance_px(mask: Mask) -> FloatArray:
+def signed_distance_px(mask: Mask) -> Float32Array:
     """Distance to the outline in pixels, positive inside; the image's edge is no outline."""
     inner = cv2.copyMakeBorder(mask.astype(np.uint8), 1, 1, 1, 1, cv2.BORDER_REPLICATE)
     inside = cv2.distanceTransform(inner, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]

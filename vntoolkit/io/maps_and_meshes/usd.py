@@ -290,7 +290,10 @@ def new_stage(
             yield open_stage
             open_stage.save()
         except Tf.ErrorException as error:
-            raise CannotWrite(f"cannot write {path}: {' '.join(str(error).split())[:300]}") from error
+            said = "; ".join(" ".join(str(each.commentary).split()) for each in error.args)
+            raise CannotWrite(
+                f"cannot write {path}: USD says: {said[:200]}; see that there is room, or choose another name"
+            ) from error
 
 
 def vec3f_from_camera(vectors: Array, up: MeshUpAxis = MeshUpAxis.Y) -> Any:
