@@ -80,13 +80,13 @@ LINES = {
 
 # Verb -> most modules of the package, and most lines of them, that are loaded before its function runs.
 CLOSURES = {
-    "reconstruct": (114, 20_000),
-    "track": (112, 19_400),
-    "export": (98, 17_100),
-    "view": (91, 14_900),
-    "report": (108, 19_100),
-    "dress": (115, 20_600),
-    "simulate": (76, 12_000),
+    "reconstruct": (78, 12_600),
+    "track": (90, 13_400),
+    "export": (58, 8_900),
+    "view": (61, 9_300),
+    "report": (60, 9_600),
+    "dress": (90, 15_600),
+    "simulate": (72, 11_300),
     "doctor": (28, 3_900),
     "board": (28, 3_400),
     "schema": (23, 2_800),

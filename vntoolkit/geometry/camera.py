@@ -10,7 +10,7 @@ from enum import Enum
 
 import numpy as np
 
-from vntoolkit.arrays import Depth, FloatArray, Matrix3, read_only
+from vntoolkit.arrays import Depth, FloatArray, Matrix3, Vector3, read_only
 from vntoolkit.checks import require_finite, require_shape
 from vntoolkit.errors import BadInput
 
@@ -181,3 +181,33 @@ def _undistort(xy_distorted: FloatArray, distortion: FloatArray) -> FloatArray:
     for _ in range(_UNDISTORT_ITERATIONS):
         xy = xy + (xy_distorted - _distort(xy, distortion))
     return xy
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ViewedFrom:
+    """Where the scene was filmed from, in camera axes.
+
+    position: (3,). rotation: (3, 3) scene_from_camera. focal_px: in x and y. size_px: width and height of the
+    pictures. offset: (3,) by which the whole scene was moved on its way into the file.
+    """
+
+    position: Vector3
+    rotation: FloatArray
+    focal_px: tuple[float, float]
+    size_px: tuple[int, int]
+    offset: Vector3 = field(default_factory=lambda: np.zeros(3))
+
+    @property
+    def vertical_angle_rad(self) -> float:
+        """Angle of view from the lower to the upper edge."""
+        return float(2 * np.arctan(self.size_px[1] / 2 / self.focal_px[1]))
+
+    @property
+    def aspect_ratio(self) -> float:
+        """Width of the view over its height."""
+        return float(self.size_px[0] / self.focal_px[0] * self.focal_px[1] / self.size_px[1])
+
+    def file_axes(self) -> FloatArray:
+        """Return (3, 3): the camera's axes in a file with y up, where a camera looks along −z with y up."""
+        turn = np.diag([1.0, -1.0, -1.0])
+        return turn @ self.rotation @ turn
