@@ -97,7 +97,6 @@ def test_held_vertices_go_to_their_places_and_take_their_neighbours_along():
         albedo=np.ones_like(mesh.vertices),
         noise=np.full(len(mesh.vertices), 0.01),
         scaled=mesh.normals,
-        tint=np.ones_like(mesh.vertices),
         weight=np.ones((1, len(mesh.vertices)), np.float32),
         agrees=np.ones((1, len(mesh.vertices)), bool),
     )

@@ -13,8 +13,9 @@ _SUREST = 0.999  # a certainty is capped here: the model behind it is no surer
 
 # What `--allow` takes: every name that a finding can have.
 CHECK_NAMES: dict[str, str] = {
+    "backdrop": "a backdrop that counts as subject",
     "background": "a picture of the untouched gel that is none, or of another session",
-    "black": "a frame shows nothing",
+    "black": "frames without a subject",
     "blur": "a picture out of focus, or of something that moved too fast",
     "black-level": "light on every pixel that is none of the lamps', or another range than the file's",
     "bits": "few bits per sample",
@@ -45,8 +46,10 @@ CHECK_NAMES: dict[str, str] = {
     "residual": "a calibration that contradicts its samples",
     "sharpening": "a picture that was sharpened",
     "size": "frames of another size than the rig's",
+    "steps": "a lamp, a channel or the picture that changes at once",
     "stray": "files that are no frames",
     "tag": "a transfer curve that the file states against the one it is read with",
+    "times": "times of frames that cannot be",
     "transfer": "a transfer curve that is not the footage's",
     "white-balance": "other gains of the channels than at calibration",
     "zoom": "another focal length than at calibration",

@@ -40,6 +40,15 @@ def _findings_from_info(info: CaptureInfo) -> Iterator[Finding]:
             expected=f"{info.frame_count}",
             remedy="copy them too, or leave these frames out with --gaps skip",
         )
+    if info.unusable_times:
+        yield Finding(
+            check="times",
+            level=Level.WARNING,
+            problem=f"{info.unusable_times}; the frames are played at {info.frame_rate_hz:g} per second",
+            measured="times that do not tell when a frame was filmed",
+            expected="times that rise",
+            remedy="give --frame-rate-hz with the rate that they were filmed at",
+        )
     if info.left_out:
         names = text_of_names([path.name for path in info.left_out])
         yield Finding(

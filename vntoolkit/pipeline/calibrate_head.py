@@ -41,7 +41,6 @@ from vntoolkit.options.head import (
     HeadOptions,
     HeadShape,
     HullOptions,
-    PoseStart,
 )
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.rig import Rig
@@ -53,12 +52,6 @@ _LEAST_FRAMES, _MOST_FRAMES = 12, 400
 _HULL_VIEWS = 32
 _NORMAL_FRAMES = 24  # over the turn: each part of the face is seen in ten of them
 Progress = Callable[[str, int, int], None]
-
-
-_STARTS = {
-    Features.TRACKS: [PoseStart.FACTORISATION],
-    Features.SIFT: [PoseStart.MAPPING, PoseStart.FACTORISATION],
-}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -106,7 +99,14 @@ def calibrate_head(
     with clock.stage("tracks"):
         footage, tracks = _follow(job, undistorter, options, on_progress)
     with clock.whole_stage("poses"):
-        motion = _moved(tracks, undistorter.camera, options, rng, refine_focal=given is None)
+        motion = solve_head_motion(
+            tracks,
+            undistorter.camera,
+            options.poses,
+            rng,
+            refine_focal=given is None,
+            features=options.following.features,
+        )
     with clock.whole_stage("hull"):
         carved = _carve(footage, motion, options.hull)
     shape = FusedShape(mesh=carved.mesh, points=carved.mesh.vertices)
@@ -126,14 +126,6 @@ def calibrate_head(
         with clock.stage("refinement"):
             refined = refine_head(
                 shape,
-                lambda mesh: fit_shape(
-                    carved.views,
-                    hull=carved.grid,
-                    about=mesh,
-                    contrasts=footage.contrasts,
-                    stereo=options.stereo.finely(),
-                    fusion=options.fusion.finely(),
-                ),
                 carved.motion.camera,
                 partial(turn.frames, chosen),
                 light,
@@ -252,22 +244,6 @@ def _follow(
     return follow_frames(frames(), undistorter.camera, options.following)
 
 
-def _moved(
-    tracks: Tracks, camera: Camera, options: HeadOptions, rng: np.random.Generator, *, refine_focal: bool
-) -> HeadMotion:
-    starts = [options.pose_start] if options.pose_start else _STARTS[options.following.features]
-    first_fault: BadCalibration | None = None
-    for start in starts:
-        try:
-            return solve_head_motion(
-                tracks, camera, options.poses, rng, refine_focal=refine_focal, start=start
-            )
-        except BadCalibration as fault:
-            first_fault = first_fault or fault
-    assert first_fault is not None  # every list of starts has one
-    raise first_fault
-
-
 class _Clock:
     """Seconds that each stage takes, and what is told of its progress."""
 
@@ -312,10 +288,10 @@ def follow_frames(
     numbers, silhouettes, contrasts, details = [], [], [], []
     for frame in frames:
         silhouette = find_silhouette(frame.rgb, options.silhouettes)
-        builder.add(local_contrast(frame.rgb), silhouette.bright)
+        contrasts.append(local_contrast(frame.rgb))
+        builder.add(contrasts[-1], silhouette.bright)
         numbers.append(frame.number)
         silhouettes.append(silhouette)
-        contrasts.append(builder.image)
         details.append(detail_in_8_bits(frame.rgb))
     require_head(silhouettes)
     tracks = builder.finish()

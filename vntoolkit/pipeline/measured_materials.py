@@ -1,4 +1,4 @@
-"""The subject's materials, measured once on the first frames of a run."""
+"""The subject's materials, measured once on the first frames of a run that show it."""
 
 import logging
 from collections.abc import Iterator, Sequence

@@ -1,7 +1,8 @@
 """How bright the subject is against the rig's material, and whether it is of that."""
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 
@@ -31,16 +32,12 @@ REMEDY = "film the subject while it turns, or calibrate on its own material"
 
 
 def measured_brightness(
-    rig: Rig,
-    options: ReconstructOptions,
-    footage: Footage,
-    numbers: Sequence[int],
-    lamps_in_words: str = "",
-) -> float:
-    """Measure on the first frame how bright the subject is, where it is of the rig's material.
+    rig: Rig, options: ReconstructOptions, footage: Footage, numbers: Sequence[int]
+) -> tuple[float, Callable[[str], None]]:
+    """Measure on the first frame how bright the subject is against the rig's material.
 
-    lamps_in_words: what shadows did not tell of the lamps. Logs a warning where the subject does not look
-    like that material. Raises `BadCapture` where the frame shows nothing.
+    Return that, and what logs a warning where the subject does not look like that material; it is told what
+    shadows do not tell of the lamps. Raises `BadCapture` where the frame shows nothing.
     """
     first = footage.capture.encoded(footage.usable(numbers)[0])
     processor = FrameProcessor(rig, options, footage.mattes.of(first), footage.capture.background)
@@ -49,8 +46,8 @@ def measured_brightness(
         albedo = relative_albedo_from_frame(frame, rig.response, mask)
     except BadInput as error:
         raise BadCapture(f"{first.name}: {error}") from error
-    _warn_of_other_material(rig.response, options.materials, frame, mask, albedo, lamps_in_words)
-    return float(np.format_float_positional(albedo, precision=4, fractional=False))
+    warn = partial(_warn_of_other_material, rig.response, options.materials, frame, mask, albedo)
+    return float(np.format_float_positional(albedo, precision=4, fractional=False)), warn
 
 
 def _warn_of_other_material(

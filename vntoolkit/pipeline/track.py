@@ -24,6 +24,7 @@ from vntoolkit.options.tracking import LOST_PX, Tracker, TrackingOptions
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.pipeline import tracked_folder
+from vntoolkit.pipeline.best_frame import best_frame
 from vntoolkit.pipeline.opened_result import OpenedResult, open_result
 from vntoolkit.pipeline.options import option_values
 from vntoolkit.pipeline.tracked_folder import MEMORY_NAME, TRACKS, TRACKS_VERSION
@@ -41,10 +42,10 @@ PaintReader = Callable[[int, NormalMap], Paint]
 class TrackJob:
     """What to track and how.
 
-    folder: written by `reconstruct`. template: number of the template frame, None for the first one there.
-    seams: polylines on the template image. out: None for folder/track. lost_px: a vertex is called lost
-    where its expected error is above this. footage, background: as for `open_result`; where the footage is
-    not at hand, relief and shape alone are tracked.
+    folder: written by `reconstruct`. template: number of the template frame, None for the best one, or with
+    seams the first. seams: polylines on the template image. out: None for folder/track. lost_px: a vertex is
+    called lost where its expected error is above this. footage, background: as for `open_result`; where the
+    footage is not at hand, relief and shape alone are tracked.
     """
 
     folder: Path
@@ -67,13 +68,14 @@ class TrackJob:
 
 @dataclass(frozen=True, kw_only=True)
 class TrackSummary:
-    """frames: in the result; resumed: of those, on disk already; missing: numbers of those held still.
+    """template: number of its frame. frames: in the result; resumed: of those, on disk already.
 
-    visible: of every frame but the missing ones, the share of the vertices whose expected error is at most
-    `lost_px`; empty for a published method, which tells no error.
+    missing: numbers of those held still. visible: of every other frame, the share of the vertices whose
+    expected error is at most `lost_px`; empty for a published method, which tells no error.
     """
 
     folder: Path
+    template: int
     vertices: int
     frames: int
     resumed: int
@@ -101,7 +103,9 @@ def track(
     source = open_result(job.folder, footage=job.footage, background=job.background)
     numbers = source.frames_to_track
     there = [n for n in numbers if has_maps(source, n)]
-    template = there[0] if job.template is None else job.template
+    template = job.template
+    if template is None:  # seams were drawn on a frame that is known before
+        template = there[0] if job.seams else best_frame(source, there)
     if template not in there:
         raise BadInput(
             f"--template {template}: that frame is not in {job.folder}; "
@@ -131,6 +135,7 @@ def track(
         )
     return TrackSummary(
         folder=target,
+        template=template,
         vertices=len(tracker.template.pixels),
         frames=len(numbers),
         resumed=resumed,
@@ -219,11 +224,12 @@ def _run(
     on_frame: Callable[[], None],
     paint_of: PaintReader | None,
 ) -> int:
-    numbers, rate = source.frames_to_track, source.manifest.input.playing_rate_hz
+    numbers, filmed = source.frames_to_track, source.manifest.input
+    rate, times_s = filmed.rate_of(numbers), filmed.times_of(numbers)
     at = numbers.index(template)
     back, ahead = numbers[:at][::-1], numbers[at + 1 :]
     mesh, first = tracker.mesh, tracker.state
-    with MeshSequenceWriter(target, mesh, frame_rate_hz=rate, resume=True) as writer:
+    with MeshSequenceWriter(target, mesh, frame_rate_hz=rate, times_s=times_s, resume=True) as writer:
         _truncate_to_memory(writer, tracker, at + 1)
         resumed = writer.frame_count
         if resumed <= at:  # the part before the template is not yet in place

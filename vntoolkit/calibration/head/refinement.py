@@ -87,7 +87,6 @@ class RefinedHead:
 
 def refine_head(
     shape: FusedShape,
-    again: Callable[[Mesh], FusedShape],
     camera: Camera,
     frames: Callable[[], Iterable[LightFrame]],
     light: HeadLight,
@@ -95,10 +94,10 @@ def refine_head(
     rng: np.random.Generator,
     on_progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> RefinedHead:
-    """Alternate normals from colours, positions from normals and stereo, and M, then do all once more finely.
+    """Alternate normals from colours, positions from normals and stereo, and M; then refine a finer mesh.
 
-    shape: of stereo. again: repeats stereo about a better mesh. frames: reads the frames that normals are
-    taken from, in passes. light: M and what the first fit made of the samples.
+    shape: of stereo. frames: reads the frames that normals are taken from, in passes. light: M and what the
+    first fit made of the samples.
     """
     depth = float(np.median(next(iter(frames())).camera_from_head.apply(shape.mesh.vertices)[:, 2]))
     pixel = depth / float(camera.matrix[0, 0])
@@ -111,44 +110,55 @@ def refine_head(
         if number < _PASSES or seen is None:
             seen = skins.skin_colours(surface, camera, frames())
         colours = skins.without_shadow(seen, surface, lit.response)
-        skin = skins.skin_normals(colours, lit, tint_is_free=False)  # a free tint hides errors of M
+        skin = skins.skin_normals(colours, lit)
         before = lit.response
         lit = _corrected(lit, light.response, colours, skin, stereo, _PATCH_PX * pixel)
         solver = PositionSolver(stereo.vertices, stereo.faces, skin, crossover)
         surface = stereo.with_vertices(solver.positions())
         changes.append(_relative_change(before, lit.response))
-        on_progress(number + 1, _ROUNDS + _PASSES)
+        on_progress(number + 1, _ROUNDS + 1)
         if changes[-1] < _SETTLED:
             break
     levels = measured_noise(surface, stereo.vertices, skin, pixel)
     spread = solver.spread(surface, levels, rng)
-    near = cKDTree(surface.vertices)
-    wave = crossover * _CROSSOVER_NOISE / _LEAST_NOISE  # errors as they are measured make it shorter
-    for number in range(_PASSES):
-        if number:
-            finer, count = again(surface), len(shape.points)
-            shape, fewer = finer, count / len(finer.points)  # noise of stereo averages out over its points
-            levels, wave = replace(levels, stereo=fewer * levels.stereo), np.sqrt(fewer) * wave
-        stereo = divided(shape.mesh, _EDGE_PX * pixel)
-        nearest = RayScene((surface.vertices, surface.faces)).closest(stereo.vertices)
-        placed = stereo.with_vertices(nearest)  # stereo's ripples would mix the colours of what lies around
-        colours = skins.without_shadow(skins.skin_colours(placed, camera, frames()), placed, lit.response)
-        skin = skins.skin_normals(colours, lit)
-        follow = followed_normals(stereo, skin, pixel)
-        shared = shared_errors(stereo, skin, pixel)
-        support = stereo_support(stereo.vertices, shape.points, levels, pixel)
-        solver = PositionSolver(stereo.vertices, stereo.faces, follow, wave, shared, support)
-        solver.hold(rim_targets(placed, camera, frames(), lit.response), levels.stereo)
-        surface = stereo.with_vertices(solver.positions())
-        on_progress(_ROUNDS + 1 + number, _ROUNDS + _PASSES)
-    samples = patch_samples(surface, camera, colours, skin, _PATCH_PX * pixel)
+    fine, colours, skin = _refined_finely(shape, surface, camera, frames, lit, levels, crossover, pixel)
+    on_progress(_ROUNDS + 1, _ROUNDS + 1)
+    samples = patch_samples(fine, camera, colours, skin, _PATCH_PX * pixel)
     return RefinedHead(
-        mesh=replace(surface, colours=_skin_colour(skin, lit.response), error_deg=_expected_error_deg(skin)),
+        mesh=replace(fine, colours=_skin_colour(skin, lit.response), error_deg=_expected_error_deg(skin)),
         light=light_of_response(samples, lit.response, options),
         samples=samples,
         changes=tuple(changes),
-        error_percent=100.0 * spread[near.query(surface.vertices)[1]] / surface.diagonal,
+        error_percent=100.0 * spread[cKDTree(surface.vertices).query(fine.vertices)[1]] / fine.diagonal,
     )
+
+
+def _refined_finely(
+    shape: FusedShape,
+    surface: Mesh,
+    camera: Camera,
+    frames: Callable[[], Iterable[LightFrame]],
+    lit: skins.SkinLight,
+    levels: "NoiseLevels",
+    crossover: float,
+    pixel: float,
+) -> tuple[Mesh, skins.SkinColours, skins.SkinNormals]:
+    """Solve a mesh of two edges a pixel and a half, with contours; return it, its colours and normals."""
+    stereo = divided(shape.mesh, _EDGE_PX * pixel)
+    nearest = RayScene((surface.vertices, surface.faces)).closest(stereo.vertices)
+    placed = stereo.with_vertices(nearest)  # stereo's ripples would mix the colours of what lies around
+    colours = skins.without_shadow(skins.skin_colours(placed, camera, frames()), placed, lit.response)
+    skin = skins.skin_normals(colours, lit)
+    solver = PositionSolver(
+        stereo.vertices,
+        stereo.faces,
+        followed_normals(stereo, skin, pixel),
+        crossover * _CROSSOVER_NOISE / _LEAST_NOISE,  # errors as they are measured make it shorter
+        shared_errors(stereo, skin, pixel),
+        stereo_support(stereo.vertices, shape.points, levels, pixel),
+    )
+    solver.hold(rim_targets(placed, camera, frames(), lit.response), levels.stereo)
+    return stereo.with_vertices(solver.positions()), colours, skin
 
 
 def _corrected(
