@@ -71,14 +71,14 @@ DOORS = {
 
 # Room -> most lines of all its files; "(root)" holds the files beside the rooms.
 LINES = {
-    "(root)": 1900,
+    "(root)": 1960,
     "calibration": 5400,
     "cli": 3500,
     "diagnosis": 4500,
     "evaluation": 1200,
     "geometry": 1800,
     "integration": 2200,
-    "io": 8000,
+    "io": 8450,
     "live": 900,
     "materials": 2910,
     "meshing": 300,
