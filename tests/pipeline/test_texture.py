@@ -23,7 +23,8 @@ from vntoolkit.pipeline.dress import (
 )
 from vntoolkit.pipeline.export import ExportJob, export
 from vntoolkit.pipeline.opened_result import open_result
-from vntoolkit.pipeline.texture import filled, read_texture, tangent_frames, texels_of, write_texture
+from vntoolkit.pipeline.texture import filled, tangent_frames, texels_of, write_texture
+from vntoolkit.pipeline.texture_files import read_texture
 
 __all__ = ["dome_result"]
 
