@@ -45,6 +45,10 @@ class BadCapture(BadInput):
     page = "docs/wrong.md#footage"
 
 
+class NoSubject(BadCapture):
+    """A frame shows no subject: all of it is black, clipped or outside the mask. No run stops for it."""
+
+
 class BadRig(BadInput):
     """A rig file or a light response is unusable (unknown key, wrong size, singular M)."""
 

@@ -133,6 +133,15 @@ def import_pymeshlab() -> Any:
     return _import("pymeshlab", PYMESHLAB_LIBRARIES)
 
 
+def require_installed(module: str, distribution: str, use: str) -> None:
+    """Raise `MissingDependency` where a Python library cannot be imported that only this use needs."""
+    try:
+        importlib.import_module(module)
+    except ImportError as error:
+        line = f"pip install {distribution}"
+        raise MissingDependency(f"{use}, and {distribution} is missing: {line}") from error
+
+
 def limit_threads(count: int) -> None:
     """Limit OpenCV and numba in this process to so many threads, so that worker processes share the cores."""
     set_thread_policy()

@@ -8,14 +8,15 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from tests.pipeline.conftest import DomeCapture, write_dome_capture
-from vntoolkit.errors import BadCapture, BadInput, MissingDependency, VntError
+from tests.pipeline.test_reconstruct import footage_with_specks
+from vntoolkit.errors import BadInput, BadMesh, MissingDependency, VntError
 from vntoolkit.io.footage.frame_range import FrameRange
-from vntoolkit.io.footage.images import write_png
 from vntoolkit.io.results.frame_log import FrameEntry, FrameLog
 from vntoolkit.options.normals import ShadowMethod
 from vntoolkit.options.reconstruction import Product, ReconstructOptions
@@ -160,15 +161,12 @@ def test_a_run_on_a_cluster_goes_on_where_another_stopped(dome_capture: DomeCapt
 
 
 @pytest.mark.slow
-def test_a_frame_that_fails_on_a_worker_is_named_here(tmp_path: Path) -> None:
+def test_a_frame_that_fails_on_a_worker_is_named_here(dome_capture: DomeCapture, tmp_path: Path) -> None:
     pytest.importorskip("distributed")
-    import numpy as np
-
-    (tmp_path / "footage").mkdir()
-    capture = write_dome_capture(tmp_path / "footage", count=4)
-    write_png(tmp_path / "footage" / "f2.png", np.zeros((48, 64, 3), np.uint16))
-    with pytest.raises(BadCapture, match=r"f2\.png: no usable pixel"):
-        reconstruct(job_of(capture, tmp_path / "out"), scheduler="local", jobs=1)
+    job = job_of(footage_with_specks(dome_capture, tmp_path), tmp_path / "out")
+    job = replace(job, options=replace(job.options, to=Product.MESH))
+    with pytest.raises(BadMesh, match="no three neighbouring"):
+        reconstruct(job, scheduler="local", jobs=1)
 
 
 @pytest.mark.slow

@@ -26,6 +26,7 @@ from vntoolkit.io.footage.captures import Capture, CaptureOptions, open_capture
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.maps_and_meshes.meshes import write_mesh
 from vntoolkit.io.rigs import read_rig, write_rig
+from vntoolkit.native import require_installed
 from vntoolkit.options.base import File, Named, OptionalFile, Source, as_path, named
 from vntoolkit.options.calibration import (
     BoardOptions,
@@ -284,6 +285,7 @@ class HeadArguments(
 
 
 def _head(asked: HeadArguments) -> tuple[Rig, HeadCalibration]:
+    require_installed("pycolmap", "pycolmap", "calibrate head adjusts poses by pycolmap")
     job = asked.job(str(asked.source))
     for path, suffixes in ((asked.mesh, MESH), (asked.figure, PICTURE), (asked.report, PAGE)):
         require_output(path, suffixes)

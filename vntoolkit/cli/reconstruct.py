@@ -157,7 +157,8 @@ def _with_transfer(rig: Rig, transfer: str | None) -> Rig:
 
 def _report(source: str, summary: ReconstructionSummary) -> None:
     for record in summary.skipped:
-        say(f"skipped frame {record.number}: {record.failure}")
+        if not record.shows_nothing:  # these are told together
+            say(f"skipped frame {record.number}: {record.failure}")
     resumed = f", {summary.resumed} from before" if summary.resumed else ""
     rate = f" ({summary.done / summary.seconds:.1f} frames/s)" if summary.done > 1 else ""
     total = summary.frames + summary.lost
@@ -165,7 +166,10 @@ def _report(source: str, summary: ReconstructionSummary) -> None:
     if summary.found_lamps:
         say("the rig does not hold the lamps' colours: they were found in the subject's shadows")
     if summary.error_deg is not None:
-        say(f"expected error of the normals: {summary.error_deg:.1f} degrees, the median over the pixels")
+        say(
+            f"expected error of the normals: {summary.error_deg:.1f} degrees, the median over the pixels of "
+            "the worst frames"
+        )
     if summary.loss:
         raise BadCapture(f"{source}: {summary.loss}")
     print_next("view", summary.folder)

@@ -107,7 +107,8 @@ def _line(outcome: CaptureOutcome) -> str:
         return f"failed: {outcome.failure}"
     text = f"{made.done} of {made.frames + made.lost} frames done"
     text += f", {made.resumed} from before" if made.resumed else ""
-    text += "".join(f"; skipped frame {record.number}: {record.failure}" for record in made.skipped)
+    skipped = [record for record in made.skipped if not record.shows_nothing]
+    text += "".join(f"; skipped frame {record.number}: {record.failure}" for record in skipped)
     text += f"; {_loss(outcome)}" if _loss(outcome) else ""
     text += "" if made.error_deg is None else f"; normals expected within {made.error_deg:.1f} degrees"
     if outcome.failure:

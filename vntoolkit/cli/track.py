@@ -29,7 +29,8 @@ class TrackArguments(MovedFootageOptions, TrackingOptions, CheckerboardOptions, 
     seams: OptionalFile = named(None)
     """JSON file of polylines on the template image. The surface is cut along them, as at mouth and eyes."""
     template: int | None = None
-    """Number of the template frame. Default: the first. It is tracked forwards and backwards."""
+    """Number of the template frame. Default: the one that shows most of the surface, lit and sharp; with
+    --seams the first. It is tracked forwards and backwards."""
     out: OptionalFile = named(None)
     """The folder to write; default FOLDER/track."""
     lost_px: float = 4.0
@@ -85,7 +86,10 @@ def track_command(asked: TrackArguments) -> None:
     summary, files = _tracked(asked, job)
     held = f", {len(summary.missing)} missing and held" if summary.missing else ""
     resumed = f", {summary.resumed} of them from before" if summary.resumed else ""
-    say(f"{summary.folder}: {summary.vertices} vertices, {summary.frames} frames{resumed}{held}")
+    say(
+        f"{summary.folder}: {summary.vertices} vertices of frame {summary.template}, {summary.frames} "
+        f"frames{resumed}{held}"
+    )
     if summary.visible:
         middle, least = median(summary.visible), min(summary.visible)
         say(f"reported visible: {middle:.1%} of the vertices, {least:.1%} in the worst frame")

@@ -487,7 +487,8 @@ class _Diligent(FrameExport):
         result.capture  # noqa: B018 - refused before anything is written
         lights = result.rig.response.lights
         strengths: FloatArray = np.linalg.norm(lights, axis=1)
-        albedo = result.manifest.known.relative_albedo or 1.0
+        known = result.manifest.known
+        albedo = 1.0 if known.materials else known.relative_albedo or 1.0
         self._scale = _HEADROOM * max(1.0, float(albedo)) * float(strengths.max())
         self._directions = lights / strengths[:, None]
         self._intensities = np.repeat(strengths[:, None] / self._scale, 3, axis=1)

@@ -75,7 +75,7 @@ class Request:
     def options_with(self, known: Known) -> ReconstructOptions:
         """Return the effective options with what was found."""
         options = self.effective_options
-        if known.relative_albedo is None:
+        if known.relative_albedo is None or known.materials:  # these are relit as the rig's own
             return options
         return replace(options, inversion=replace(options.inversion, relative_albedo=known.relative_albedo))
 

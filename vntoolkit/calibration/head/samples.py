@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from vntoolkit.arrays import BoolArray, FloatArray, IntArray, Mask, Points, Vectors, read_only
+from vntoolkit.arrays import BoolArray, Float32Array, FloatArray, IntArray, Mask, Points, Vectors, read_only
 from vntoolkit.errors import BadCalibration
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.mesh import Mesh, vertex_normals
@@ -135,3 +135,16 @@ def _colours_at(frame: LinearFrame, pixel: FloatArray) -> FloatArray:
         for right in (-1, 0, 1):
             total += frame.rgb[row + down, column + right]
     return total / 9.0
+
+
+_ROW = 1024  # OpenCV resamples images, no lists: points are laid out in rows
+
+
+def sampled(image: Float32Array, pixel: FloatArray, outside: float = 0.0) -> Float32Array:
+    """Return the image (h, w) or (h, w, c) at pixels (n, 2), bilinear."""
+    count = len(pixel)
+    padded = np.full((max(1, -(-count // _ROW)) * _ROW, 2), -9.0, np.float32)
+    padded[:count] = pixel
+    u, v = (np.ascontiguousarray(padded[:, k].reshape(-1, _ROW)) for k in range(2))
+    sampled = cv2.remap(np.asarray(image), u, v, cv2.INTER_LINEAR, borderValue=outside)
+    return np.asarray(sampled.reshape(-1, *image.shape[2:])[:count])

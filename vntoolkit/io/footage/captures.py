@@ -11,10 +11,9 @@ from vntoolkit.arrays import Array, LinearImage
 from vntoolkit.checks import require_positive, require_shape
 from vntoolkit.display import Displayed, Facts, Picture
 from vntoolkit.errors import BadCapture, BadInput
-from vntoolkit.io.files import opened
 from vntoolkit.io.footage.decoding import EncodedFrame, linear_frame_from_encoded
 from vntoolkit.io.footage.frame_range import FrameRange
-from vntoolkit.io.footage.images import header_of_stream, read_image
+from vntoolkit.io.footage.images import ImageHeader, read_opaque_image
 from vntoolkit.io.footage.luma_detail import LumaDetail
 from vntoolkit.io.footage.mosaics import is_raw, read_raw
 from vntoolkit.io.footage.pixel_formats import YuvConversion
@@ -192,18 +191,21 @@ class Capture(Displayed):
         for number, path in zip(self.info.numbers, self.info.files, strict=True):
             if number not in wanted:
                 continue
-            values = self._read(path)
+            values, header = _read_image(path, self.options)
             height, width = values.shape[:2]
             if (width, height) != (self.info.width, self.info.height):
                 raise BadCapture(
                     f"{path}: frame {number} is {width}×{height}, the first one {self.info.width}×"
                     f"{self.info.height}: a capture has one size"
                 )
+            first, own = self.info.stated_transfer, "" if header is None else header.stated.transfer
+            if first and own and own != first:
+                raise BadCapture(
+                    f"{path}: frame {number} states the transfer curve {own}, the first one {first}: a "
+                    "capture has one curve"
+                )
             bits = _bits(values, self.options, path)
             yield EncodedFrame(values=values, bits=bits, number=number, name=str(path))
-
-    def _read(self, path: Path | str) -> Array:
-        return read_image(path, max_megapixels=self.options.max_megapixels, sensor=self.options.sensor)
 
     def _read_background(self) -> LinearImage | None:
         background = self.options.background
@@ -213,7 +215,14 @@ class Capture(Displayed):
         if isinstance(background, (str, Path)):
             name = str(background)
             how = replace(self.options, background=None, transfer=self.transfer, gaps=Gaps.SKIP)
-            background = open_capture(background, how).frame(0).rgb
+            footage = open_capture(background, how)
+            curves = {footage.info.stated_transfer, self.info.stated_transfer} - {""}
+            if len(curves) > 1:
+                raise BadCapture(
+                    f"{name}: states the transfer curve {footage.info.stated_transfer}, the footage "
+                    f"{self.info.stated_transfer}: film both with the same settings"
+                )
+            background = footage.frame(0).rgb
         require_shape(background, (None, None, 3), name, BadCapture)
         height, width = background.shape[:2]
         if (width, height) != (self.info.width, self.info.height):
@@ -267,22 +276,38 @@ def _info_of_video(reader: VideoReader, rate_hz: float | None) -> CaptureInfo:
         chroma=reader.chroma,
         files=(reader.path,),
         promised_frame_count=reader.index.promised,
-        stated_transfer=reader.stated_transfer,
+        stated_transfer=reader.stated.transfer,
         conversion=reader.conversion,
-        orientation=reader.orientation.text,
+        orientation=reader.stated.orientation.text,
         times_s=timing.uneven_s,
         unusable_times=timing.unusable,
     )
 
 
 def _stated_transfer(info: CaptureInfo, name: str) -> Transfer:
+    stated = info.stated_transfer
     try:
-        return Transfer.from_text(info.stated_transfer or "linear")
+        transfer = Transfer.from_text(stated or "linear")
     except BadInput as problem:
         raise BadCapture(
-            f"{name}: states the transfer curve {info.stated_transfer}, which is not read; convert the "
+            f"{name}: states the transfer curve {stated}, which is not read; convert the "
             "footage, or give --transfer with the curve that is meant"
         ) from problem
+    if info.bits == 32 and transfer != Transfer():
+        raise BadCapture(
+            f"{name}: states the transfer curve {stated} of floating-point samples, which are read as "
+            "linear; save linear ones, or 16 bits"
+        )
+    return transfer
+
+
+def _read_image(path: Path, options: CaptureOptions) -> tuple[Array, ImageHeader | None]:
+    """Return pixels and header; None for that of a camera raw file, whose reader heeds it."""
+    limit, sensor = options.max_megapixels, options.sensor
+    if is_raw(path):
+        return read_raw(path, sensor.demosaic, max_megapixels=limit)[0], None
+    image = read_opaque_image(path, max_megapixels=limit, sensor=sensor)
+    return image.rgb, image.header
 
 
 def _info_of_images(found: CaptureFiles, options: CaptureOptions) -> CaptureInfo:
@@ -311,9 +336,8 @@ def _info_of_images(found: CaptureFiles, options: CaptureOptions) -> CaptureInfo
             stated_transfer="linear",
             orientation=raw.orientation,
         )
-    first = read_image(files[0], max_megapixels=options.max_megapixels, sensor=options.sensor)
-    with opened(files[0], BadCapture) as stream:
-        header = header_of_stream(stream, str(files[0]))
+    first, header = _read_image(files[0], options)
+    assert header is not None
     grey = "Bayer" if options.sensor.bayer or header.bayer else "grey"
     return info(
         width=first.shape[1],
@@ -322,9 +346,9 @@ def _info_of_images(found: CaptureFiles, options: CaptureOptions) -> CaptureInfo
         bits=_bits(first, options, files[0]),
         codec=header.format,
         chroma=grey if header.channels < 3 else header.chroma,
-        stated_transfer=header.stated_transfer,
-        stated_focal_px=header.stated_focal_px,
-        orientation=header.orientation.text,
+        stated_transfer=header.stated.transfer,
+        stated_focal_px=header.stated.focal_px,
+        orientation=header.stated.orientation.text,
     )
 
 

@@ -24,9 +24,11 @@ from vntoolkit.errors import BadCapture, CannotWrite
 from vntoolkit.io.atomic import atomic_path
 from vntoolkit.io.files import require_file, require_pixels
 from vntoolkit.io.footage import pixel_formats
+from vntoolkit.io.footage.images import require_opaque
 from vntoolkit.io.footage.luma_detail import LumaDetail
 from vntoolkit.io.footage.mosaics import rgb_from_mosaic
 from vntoolkit.io.footage.orientation import UPRIGHT, Orientation
+from vntoolkit.io.footage.stated import TRANSFER_NAMES, Stated, require_heeded
 from vntoolkit.options.footage import Bayer, Demosaic, SensorOptions
 
 _HD_HEIGHT = 720
@@ -36,25 +38,6 @@ _WITHOUT_INDEX = ("mpegts", "mpeg")  # of camcorders: FFmpeg finds a time in the
 # They open other files, which no manifest names and which may lie outside the footage's folder.
 _LISTS_OF_FILES = {"concat", "dash", "hls", "imf", "lavfi", "rtp", "rtsp", "sap", "sdp", "vobsub"}
 _EARLY_S = 1  # more than a key frame is decoded ahead of its time
-# AVCOL_TRC_* that a stream may state, in our words; BT.601, xvYCC and BT.2020 share BT.709's curve.
-_TRANSFER_NAMES = {
-    1: "bt709",
-    4: "gamma:2.2",
-    5: "gamma:2.8",
-    6: "bt709",
-    7: "smpte240m",
-    8: "linear",
-    9: "log 100:1",
-    10: "log 316:1",
-    11: "bt709",
-    12: "bt1361",
-    13: "srgb",
-    14: "bt709",
-    15: "bt709",
-    16: "pq",
-    17: "smpte428",
-    18: "hlg",
-}
 _FIRST_INTERLACED = 2  # AVFieldOrder: 0 unknown, 1 progressive, then four orders of fields
 _MOST_REORDERED = 16  # frames that H.264 and HEVC may hold back
 _UNEVEN_S = 0.002  # a clock of milliseconds rounds by less
@@ -99,13 +82,9 @@ class VideoReader:
                 raise BadCapture(f"{self.path}: no frame can be decoded; the file is damaged or cut off")
             self._stored_size = (int(context.width), int(context.height))
             self.codec = str(context.codec.name)
-            self.stated_transfer = _TRANSFER_NAMES.get(int(context.color_trc or 0), "")
             self.pixel_format = pixel_formats.PixelFormat.from_av(context.format)
-            try:
-                hd = int(context.height) >= _HD_HEIGHT
-                self.conversion = pixel_formats.yuv_conversion(context, self.pixel_format, hd=hd)
-            except BadCapture as problem:
-                raise BadCapture(f"{self.path}: {problem}") from problem
+            hd = int(context.height) >= _HD_HEIGHT
+            self.conversion = pixel_formats.yuv_conversion(context, self.pixel_format, hd=hd)
             self._demosaic = (sensor or SensorOptions()).demosaic
             self._bayer = self._pattern((sensor or SensorOptions()).bayer)
             self.takes_codes = takes_codes and not (self.pixel_format.is_rgb or self.pixel_format.is_grey)
@@ -116,8 +95,15 @@ class VideoReader:
             self._stated_rate_hz = float(rate)
             self._time_base_s = float(stream.time_base)
             self._require_progressive(int(context.field_order or 0) >= _FIRST_INTERLACED)
-            self.orientation = self._stated_orientation(container)
-        turned = -1 if self.orientation.transposed else 1
+            self.stated = Stated(
+                transfer=TRANSFER_NAMES.get(int(context.color_trc or 0), ""),
+                orientation=self._stated_orientation(container),
+                pixel_aspect=float(stream.sample_aspect_ratio or 1),
+                colours=pixel_formats.unread_colours(context, self.pixel_format),
+                pictures=1 if stream.metadata.get("stereo_mode", "mono") == "mono" else 2,
+            )
+            require_heeded(self.stated, str(self.path), BadCapture, "views a frame (stereo)")
+        turned = -1 if self.stated.orientation.transposed else 1
         width, height = self._stored_size[::turned]
         smaller = 2 if self._bayer is not None and self._demosaic is Demosaic.HALF else 1
         self.width, self.height = width // smaller, height // smaller
@@ -285,13 +271,16 @@ class VideoReader:
         try:
             if self._bayer is not None:
                 mosaic = pixel_formats.mosaic_from_video_frame(frame, self.pixel_format)
-                return self.orientation.upright(rgb_from_mosaic(mosaic, self._bayer, self._demosaic))
+                return self.stated.orientation.upright(rgb_from_mosaic(mosaic, self._bayer, self._demosaic))
+            if self.pixel_format.has_alpha:
+                alpha = frame.reformat(format="rgba").to_ndarray()[..., 3]
+                require_opaque(alpha, f"{self.path}, frame {number}")
             how: dict[str, bool] = {"hd": height >= _HD_HEIGHT, "takes_codes": self.takes_codes}
             if self._detail is not None:
                 rgb = pixel_formats.rgb_with_luma_detail(frame, self.pixel_format, self._detail, **how)
             else:
                 rgb = pixel_formats.rgb_from_video_frame(frame, self.pixel_format, **how)
-            return self.orientation.upright(rgb)
+            return self.stated.orientation.upright(rgb)
         except av_errors() as error:
             raise self._damaged(number, f"its colours cannot be converted ({reason_of(error)})") from error
 

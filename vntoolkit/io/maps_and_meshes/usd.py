@@ -24,7 +24,7 @@ from vntoolkit.geometry.motion import Motion, joint_paths, rest_pose
 from vntoolkit.geometry.skinned_clip import SkinnedClip, ViewedFrom
 from vntoolkit.io.atomic import atomic_path
 from vntoolkit.io.conventions import graphics_from_camera, motion_with_axes_turned
-from vntoolkit.native import require_address_space
+from vntoolkit.native import require_address_space, require_installed
 from vntoolkit.options.export import MeshUpAxis
 
 ROOT = "/World"
@@ -122,10 +122,10 @@ def write_usd_skin(
     Joint indices and weights, blend shapes with their weights in each frame, normals, `st`, `displayColor`
     and a UsdPreviewSurface, with the textures where there are any.
     """
-    from pxr import UsdSkel, Vt
-
     rate = clip.motion.frame_rate_hz
     with new_stage(path, frame_rate_hz=rate, metres_per_unit=1.0) as stage:
+        from pxr import UsdSkel, Vt
+
         names = [f"Fold_{number:02d}" for number in range(len(clip.shapes))]
         add_skeleton(stage.stage, clip.motion, clip.rest_from_model, names, clip.shape_weights)
         mesh = _define_mesh(stage.stage, f"{FIGURE}/Cloth")
@@ -273,6 +273,7 @@ def new_stage(
         raise BadInput(f"{path}: expected a name that ends in .usdc or .usd (binary USD)")
     if not 0 < frame_rate_hz < np.inf or not 0 < metres_per_unit < np.inf:
         raise BadInput(f"{path}: expected a positive frame rate and length unit")
+    require_installed("pxr", "usd-core", f"{path}: USD files need usd-core, or write .glb")
     require_address_space(_ADDRESS_SPACE, "USD")
     from pxr import Sdf, Tf, Usd, UsdGeom
 

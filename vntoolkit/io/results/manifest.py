@@ -159,7 +159,7 @@ class Known(Entry):
         default=0.0, description="Standard deviation of the picture's blur, which expected errors count."
     )
     relative_albedo: float | None = Field(
-        default=None, description="Brightness of the subject against the rig's material, where it is of that."
+        default=None, description="Brightness of the subject against the rig's material; null for a gel's."
     )
     materials: list[MaterialEntry] = Field(
         default_factory=list, description="Materials that were found; empty for the rig's alone."
@@ -207,8 +207,8 @@ class Manifest(Entry):
     )
     error_deg: float | None = Field(
         default=None,
-        description="Expected error of the normals: median over the pixels of a frame, then over the frames; "
-        "null where it is not known.",
+        description="Expected error of the normals: median over the pixels of a frame, and of the frames the "
+        "least of the worst tenth; null where it is not known.",
     )
     started: str = Field(default="", description="When the run began, UTC, ISO 8601.")
     finished: str = Field(default="", description="When the last frame was done; empty while it runs.")
@@ -311,7 +311,7 @@ RECONSTRUCTION = FolderKind(
     verb="reconstruct",
     holds="results",
     record=MANIFEST_NAME,
-    files=(FRAMES_NAME, "contact.csv"),
+    files=(FRAMES_NAME, "contact.csv", "mask_suggested.png"),
     frames={name: (suffix,) for name, suffix in FRAME_FILES.items()},
     read=lambda path: read_manifest(path.parent),
     text=text_from_model,
