@@ -171,14 +171,17 @@ def texels_in_frame(
     subject = ndimage.binary_erosion(depth_map.mask & normal_map.mask, iterations=_MIXED_PX)
     is_seen = all_inside(subject, pixels) & (cosine > _LEAST_COSINE)
     is_seen &= np.isfinite(off) & (gap * cosine < AGREES_PX * pixel)
+    measured = unit_vectors(sample_image(normal_map.normals_in_camera, pixels))
+    in_tangents = np.stack([np.sum(a * measured, axis=1) for a in (along_u, along_v, outward)], axis=1)
+    # A normal below the surface is another surface's. glTF has no such normal, and renderers show it black.
+    is_seen &= in_tangents[:, 2] > 0
     faded = np.zeros(texels.shape, np.float32)
     faded.ravel()[texels.places] = is_seen
     faded = ndimage.uniform_filter(faded, _FEATHER).ravel()[texels.places]
-    measured = unit_vectors(sample_image(normal_map.normals_in_camera, pixels))
     return SeenTexels(
         pixels=pixels,
         weight=np.where(is_seen, faded * (cosine / off) ** 2, 0.0),
-        in_tangents=np.stack([np.sum(a * measured, axis=1) for a in (along_u, along_v, outward)], axis=1),
+        in_tangents=in_tangents,
     )
 
 
