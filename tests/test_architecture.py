@@ -97,7 +97,7 @@ LINES = {
 # Verb -> most modules of the package, and most lines of them, that are loaded before its function runs.
 CLOSURES = {
     "reconstruct": (114, 20_600),
-    "track": (113, 19_400),
+    "track": (112, 19_400),
     "export": (98, 17_100),
     "view": (91, 14_900),
     "report": (108, 19_100),
