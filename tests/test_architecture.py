@@ -78,7 +78,7 @@ LINES = {
     "evaluation": 1200,
     "geometry": 1800,
     "integration": 2200,
-    "io": 8320,
+    "io": 8330,
     "live": 900,
     "materials": 2910,
     "meshing": 300,
