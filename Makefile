@@ -53,7 +53,6 @@ $(READY): requirements.lock pyproject.toml scripts/set_up.sh
 
 # Newest versions that pyproject.toml admits, pinned with hashes for every platform.
 lock: $(READY)
-	$(PYTHON) -m pip install --quiet uv
 	.venv/bin/uv pip compile pyproject.toml --all-extras --universal --python-version 3.11 \
 	    --generate-hashes --no-emit-index-url --upgrade --quiet --custom-compile-command "make lock" \
 	    --output-file requirements.lock

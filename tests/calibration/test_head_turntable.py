@@ -105,8 +105,8 @@ def test_default_stereo_fits_silhouettes_and_neighbouring_photographs(
     views, images, box = load(real_data / "turntable" / name)
     contrasts = [local_contrast(image) for image in images]
     grid = fit_hull(views, box, HullOptions(hull_cells=cells))
-    rough = fit_shape(views, contrasts, grid, StereoOptions(), FusionOptions()).mesh
-    mesh = fit_shape(views, contrasts, grid, StereoOptions().closely(), FusionOptions(), about=rough).mesh
+    rough = fit_shape(views, contrasts, grid, StereoOptions(), FusionOptions())
+    mesh = fit_shape(views, contrasts, grid, StereoOptions().closely(), FusionOptions(), about=rough)
     whole = slice(0, 480), slice(0, 640)
     overlaps = []
     for view in views:

@@ -3,7 +3,11 @@
 import hashlib
 import os
 import signal
+import socket
+import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,11 +15,12 @@ import pytest
 
 from tests.pipeline.conftest import DomeCapture, write_dome_capture
 from tests.pipeline.test_reconstruct import footage_with_specks
-from vntoolkit.errors import BadInput, BadMesh, MissingDependency
+from vntoolkit.errors import BadInput, BadMesh, MissingDependency, VntError
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.results.frame_log import FrameEntry, FrameLog
 from vntoolkit.options.normals import ShadowMethod
 from vntoolkit.options.reconstruction import Product, ReconstructOptions
+from vntoolkit.pipeline import cluster
 from vntoolkit.pipeline.cluster import connected
 from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.reconstruct import reconstruct
@@ -73,6 +78,75 @@ def test_a_worker_that_dies_costs_nothing_but_time(tmp_path: Path) -> None:
     assert len(digest(alone)) == 2 * 96
     assert digest(many) == digest(alone)
     assert sorted(FrameLog(many).done()) == list(range(96))
+
+
+@pytest.fixture
+def small_cluster(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[str, list[subprocess.Popen[bytes]]]]:
+    """The address of a scheduler of its own, its process, and those of two workers without nannies."""
+    pytest.importorskip("distributed")
+    for name, seconds in (
+        ("_SECONDS_TO_CONNECT", 5),
+        ("_SECONDS_BETWEEN_LOOKS", 1),
+        ("_SECONDS_OF_SILENCE", 6),
+    ):
+        monkeypatch.setattr(cluster, name, seconds)
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    address = f"tcp://127.0.0.1:{port}"
+
+    def start(kind: str, *words: str) -> subprocess.Popen[bytes]:
+        command = [sys.executable, "-m", f"distributed.cli.dask_{kind}", *words, "--no-dashboard"]
+        return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+
+    processes = [start("scheduler", "--port", str(port), "--host", "127.0.0.1")]
+    processes += [start("worker", address, "--no-nanny", "--nthreads", "1") for _ in range(2)]
+    try:
+        distributed = pytest.importorskip("distributed")
+        with distributed.Client(address, timeout=60) as client:
+            client.wait_for_workers(2, timeout=60)
+        yield address, processes
+    finally:
+        for process in processes:
+            process.send_signal(signal.SIGCONT)
+            process.kill()
+            process.wait()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("struck", "how", "line"),
+    [
+        ((0,), signal.SIGKILL, "the Dask scheduler"),
+        ((0,), signal.SIGSTOP, "the Dask scheduler does not answer any more"),
+        ((1, 2), signal.SIGKILL, "no worker of the Dask scheduler|workers, and what they held"),
+        ((1, 2), signal.SIGSTOP, "no worker of the Dask scheduler is at work any more"),
+        ((1,), signal.SIGSTOP, ""),
+    ],
+    ids=["scheduler killed", "scheduler stopped", "workers killed", "workers stopped", "one worker stopped"],
+)
+def test_what_happens_to_a_cluster_is_one_line_or_nothing(
+    tmp_path: Path, small_cluster: tuple[str, list[subprocess.Popen[bytes]]], struck, how, line
+) -> None:
+    """The run ends by one line, or goes on with the worker that is left; given again, it is completed."""
+    address, processes = small_cluster
+    (tmp_path / "footage").mkdir()
+    capture = write_dome_capture(tmp_path / "footage", count=64)
+    job, pending = job_of(capture, tmp_path / "out"), list(struck)
+
+    def strike(_entry: FrameEntry) -> None:
+        while pending:
+            processes[pending.pop()].send_signal(how)
+
+    expected = (
+        pytest.raises(VntError, match=f"({line}).*run the same command again") if line else nullcontext()
+    )
+    with expected:
+        reconstruct(job, scheduler=address, on_frame=strike)
+    done = len(FrameLog(tmp_path / "out").done())
+    assert done == 64 if not line else 0 < done < 64
+    assert reconstruct(job).resumed == done
+    assert len(FrameLog(tmp_path / "out").done()) == 64
 
 
 @pytest.mark.slow

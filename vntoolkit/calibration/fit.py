@@ -18,7 +18,7 @@ from vntoolkit.photometry.response import LightResponse, scaled_normals_from_rgb
 from vntoolkit.photometry.rig import FitQuality
 
 _FIRST_SHADOW_SHARE = 0.15  # of a channel's 99th percentile: what surely is lit before anything is known
-_ROUNDING = 1e-9  # of the largest colour: residuals below it are arithmetic, not evidence
+_ROUNDING = 1e-9  # of the largest colour: residuals below it are arithmetic
 _FLATTEST_DESIGN = 5e-3  # smallest over largest singular value of the normals that still determine M
 _SMALLEST_DETERMINANT = 0.02  # of three unit normals: below it noise decides
 _LARGEST_CONDITION = 1e3  # of a sampled M: no such rig is usable
@@ -171,10 +171,10 @@ def fit_by_trimming(
             raise BadCalibration("calibration: no pixel is lit by all three lights; move the lights closer")
         scale = 1.4826 * float(np.median(residuals[lit]))
         update = lit & (residuals <= max(outlier_sigmas * scale, floor))
-        settled = np.array_equal(update, chosen)
+        converged = np.array_equal(update, chosen)
         chosen = update
         unknowns = design.solve(chosen)
-        if settled:
+        if converged:
             break
     return unknowns, chosen
 

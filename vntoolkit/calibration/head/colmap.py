@@ -55,8 +55,8 @@ def adjust_sparse_model(
 ) -> SparseModel:
     """Adjust poses and points to all tracks at once, robustly (bundle adjustment: triggs2000).
 
-    camera_from_head: first guess per frame, None where there is none. points_in_head: (n, 3) first guess per
-    track, to be believed where `known` (n,). refine_focal: the camera's focal length is a guess, too.
+    camera_from_head: initial pose per frame, None where there is none. points_in_head: (n, 3) initial point
+    per track, valid where `known` (n,). refine_focal: the camera's focal length is refined, too.
     Tracks that follow shading, highlights, neck or shoulders disagree with the rest and are dropped.
     """
     reconstruction = _reconstruction(tracks, camera, camera_from_head, points_in_head, known)

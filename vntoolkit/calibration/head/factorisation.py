@@ -1,4 +1,4 @@
-"""A first guess of poses and points from tracks: factorisation under scaled orthography (tomasi1992).
+"""Initial poses and points from tracks: factorisation under scaled orthography (tomasi1992).
 
 The tracks that cross a window of frames give a matrix of rank three. Frames and points around it are added
 by alternating weighted least squares. The affine solution becomes metric where both image axes of every frame

@@ -1,4 +1,4 @@
-"""A first guess of poses and points from tracks by COLMAP's incremental mapping (schoenberger2016)."""
+"""Initial poses and points from tracks by COLMAP's incremental mapping (schoenberger2016)."""
 
 import tempfile
 from pathlib import Path

@@ -29,7 +29,7 @@ _NEAR = 0.01  # of the diagonal: how far a point may lie off the shape, and a pa
 _LEAST_CORRELATION = 0.75
 _MOST_PX = 3.0  # off the expected place: poses are known better
 _LEAST_FRAMES = 4
-_STEPS, _SETTLED_PX = 8, 0.01
+_STEPS, _CONVERGED_PX = 8, 0.01
 _LEAST_CORNER = 1e-4  # determinant over the squared trace: less is an edge, which slides
 _TINY = 1e-9
 
@@ -181,5 +181,5 @@ def _shifts(
         shift[moving] += step
         found[moving] = shared / np.sqrt(np.maximum(size[moving] * (np.square(value) @ weights), _TINY))
         found[moving[~corner | (np.abs(shift[moving]).max(axis=1) > _MOST_PX)]] = 0.0
-        moving = moving[(found[moving] > 0) & (np.abs(step).max(axis=1) >= _SETTLED_PX)]
+        moving = moving[(found[moving] > 0) & (np.abs(step).max(axis=1) >= _CONVERGED_PX)]
     return shift, found

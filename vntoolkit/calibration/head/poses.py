@@ -61,11 +61,11 @@ def solve_head_motion(
     refine_focal: bool = False,
     features: Features = Features.TRACKS,
 ) -> HeadMotion:
-    """Solve all poses: robust bundle adjustment from a first guess.
+    """Solve all poses: robust bundle adjustment from initial poses.
 
     Long tracks over close frames are factorised, features of frames far apart mapped frame by frame.
-    refine_focal: the camera's focal length is a guess. Raises `BadCalibration` where head or footage do not
-    carry poses.
+    refine_focal: the camera's focal length is refined, too. Raises `BadCalibration` where head or footage
+    do not carry poses.
     """
     if not camera.is_perspective:
         raise BadInput("poses: the turn is solved with a perspective camera; give --camera or --focal-px")
@@ -94,13 +94,13 @@ def solve_head_motion(
     return motion
 
 
-def settle_head_motion(
+def adjust_head_motion(
     motion: HeadMotion, tracks: Tracks, points: Points, track: IntArray, *, refine_focal: bool = False
 ) -> tuple[HeadMotion, Similarity]:
     """Adjust poses and points to tracks of other points, from where they are (bundle adjustment).
 
-    points: (t, 3) on the head, first guess. track: (t,) their numbers in `motion`. refine_focal: the focal
-    length is a guess. Returns the motion, and what takes the old head frame to its own; the old motion where
+    points: (t, 3) on the head, initial. track: (t,) their numbers in `motion`. refine_focal: the focal length
+    is refined, too. Returns the motion, and what takes the old head frame to its own; the old motion where
     too little agrees.
     """
     model = colmap.adjust_sparse_model(
@@ -115,9 +115,9 @@ def settle_head_motion(
     enough = len(model.point) >= max(LEAST_TRACKS, _LEAST_KEPT * len(motion.point))
     if not enough or placed.mean() < np.mean(~motion.interpolated):
         return motion, Similarity(scale=1.0, rigid=RigidTransform())
-    settled = _head_motion(model, motion.point[track])
-    moved = fit_similarity(points[model.point], settled.points_in_head)
-    return replace(settled, offered=motion.offered), moved
+    adjusted = _head_motion(model, motion.point[track])
+    moved = fit_similarity(points[model.point], adjusted.points_in_head)
+    return replace(adjusted, offered=motion.offered), moved
 
 
 def _require_rigid(model: colmap.SparseModel, tracks: Tracks) -> None:

@@ -21,6 +21,7 @@ _APART = (1, 2, 3, 4, 6, 8, 12, 16)  # of more: those so many frames apart
 _LEAST_TYPICAL, _LEAST_SHARED = 60, 20  # features of neighbouring frames: usually, and at the least
 _LEAST_FRAMES = 3  # a track over two says nothing that could be wrong
 _ESTIMATE_PX, _GUIDE_PX = 2.0, 1.5  # from the epipolar line: while it is sought, and once it is known
+_PEAK = 0.003  # weakest contrast of a feature, 0 to 1: skin has little
 _MOST_FEATURES = 3000  # of a frame
 _RATIO = 0.8  # of the distance to the best match over that to the second best, at most; COLMAP's
 _LEAST_MATCHES = 20  # of a pair of frames that agree on one epipolar geometry
@@ -133,6 +134,7 @@ def _extractor() -> Any:
     extraction.num_threads = 1
     extraction.use_gpu = False
     extraction.sift.upright = True  # the head turns about an upright axis
+    extraction.sift.peak_threshold = _PEAK
     extraction.sift.max_num_features = 2 * _MOST_FEATURES
     return pycolmap.FeatureExtractor.create(extraction, pycolmap.Device.cpu)
 

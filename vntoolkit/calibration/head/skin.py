@@ -21,8 +21,8 @@ from vntoolkit.photometry.response import LightResponse
 
 _ROUNDS = 8  # of robust least squares
 _FEWEST_FRAMES = 2
-_RIDGE = 1e-6  # of the system's trace: it can be solved where all frames show one side
-_LEAST_RESIDUAL = 0.004  # of the colour's length: below it registration decides, not the sensor
+RIDGE = 1e-6  # of the system's trace: it can be solved where all frames show one side
+LEAST_RESIDUAL = 0.004  # of the colour's length: below it registration decides, not the sensor
 _INLIER_WEIGHT = 0.25  # of its first weight: with less left, a colour is an outlier
 _VERTICES = 10_000  # solved at a time
 
@@ -115,7 +115,7 @@ class SkinLight:
     nearness: FloatArray = field(default_factory=lambda: np.zeros(3))
 
 
-def _rows(colours: SkinColours, light: SkinLight, part: slice) -> tuple[FloatArray, FloatArray]:
+def rows_at(colours: SkinColours, light: SkinLight, part: slice) -> tuple[FloatArray, FloatArray]:
     """Return the rows of M_f R_f at some vertices, (f, n, 3, 3), and their change by nearness."""
     matrix = np.asarray(light.response.matrix)
     places = colours.vertices[part] @ colours.rotations.transpose(0, 2, 1) + colours.offsets[:, None]
@@ -151,7 +151,7 @@ class SkinNormals:
 def skin_normals(colours: SkinColours, light: SkinLight) -> SkinNormals:
     """Solve r_f = M_f R_f b at every vertex for b, robustly."""
     parts = [
-        _solved(_rows(colours, light, part)[0], rgb, given) for part, rgb, given in _parts(colours, light)
+        _solved(rows_at(colours, light, part)[0], rgb, given) for part, rgb, given in parts_of(colours, light)
     ]
     scaled, albedo, noise = (np.concatenate([part[k] for part in parts]) for k in range(3))
     weight = np.concatenate([part[3] for part in parts], axis=1)
@@ -168,7 +168,7 @@ def skin_normals(colours: SkinColours, light: SkinLight) -> SkinNormals:
     )
 
 
-def _parts(colours: SkinColours, light: SkinLight) -> Iterator[tuple[slice, FloatArray, FloatArray]]:
+def parts_of(colours: SkinColours, light: SkinLight) -> Iterator[tuple[slice, FloatArray, FloatArray]]:
     """Yield vertices, some at a time, with their colours (f, n, 3) less ambient light, and weights (f, n)."""
     for start in range(0, colours.weight.shape[1], _VERTICES):
         part = slice(start, start + _VERTICES)
@@ -182,10 +182,10 @@ def _solved(
     """Return b (n, 3), albedo by channel (n, 3), noise of the direction (n,) and final weights (f, n)."""
     shown, weight = given > 0, given
     count, total = shown.sum(axis=0), np.maximum(given.sum(axis=0), 1e-9)
-    least = _LEAST_RESIDUAL * (given * np.linalg.norm(rgb, axis=2)).sum(axis=0) / total + 1e-9
+    least = LEAST_RESIDUAL * (given * np.linalg.norm(rgb, axis=2)).sum(axis=0) / total + 1e-9
     for _ in range(_ROUNDS):
         system = np.einsum("fn,fnck,fncl->nkl", weight, rows, rows, optimize=True)
-        ridge = _RIDGE * np.trace(system, axis1=1, axis2=2) + 1e-12
+        ridge = RIDGE * np.trace(system, axis1=1, axis2=2) + 1e-12
         inverse = np.linalg.inv(system + ridge[:, None, None] * np.eye(3))
         right = np.einsum("fn,fnck,fnc->nk", weight, rows, rgb, optimize=True)
         scaled = (inverse @ right[..., None])[..., 0]
@@ -206,62 +206,3 @@ def _median_shown(errors: FloatArray, shown: BoolArray, count: IntArray) -> Floa
     ordered = np.sort(np.where(shown, errors, np.inf), axis=0)
     middle = np.stack([np.maximum(count - 1, 0) // 2, np.minimum(count, len(errors) - 1) // 2])
     return np.where(count > 0, np.take_along_axis(ordered, middle, axis=0).mean(axis=0), 0.0)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class LightErrors:
-    """What errors of the light do to the solution.
-
-    Of 12 errors, the first nine are those of E, row by row, where M (I + E) is right, then three of nearness.
-    turned: (n, 3, 12), normals less those by the right light, per unit of error. system: (r, 12, 12), right:
-    (r, 12), the normal equations for the errors of what the frames' disagreement says, by region. They leave
-    open what every b can follow: E that commutes with the turn, such as the scale along its axis.
-    """
-
-    turned: FloatArray
-    system: FloatArray
-    right: FloatArray
-
-
-def light_errors(
-    colours: SkinColours, skin: SkinNormals, light: SkinLight, share: FloatArray, region: IntArray
-) -> LightErrors:
-    """Differentiate the solutions by the light.
-
-    share: (n,) independent observations that a vertex stands for. region: (n,) its region, 0 to r − 1.
-    """
-    regions = int(region.max()) + 1
-    turned, system, right = [], np.zeros((regions, 12, 12)), np.zeros((regions, 12))
-    for part, rgb, _ in _parts(colours, light):
-        b = np.where(skin.known[part, None], skin.scaled[part], 0.0)
-        weight = np.where(skin.known[part], skin.weight[:, part], 0.0)
-        slope, rows = _slopes(colours, light, part, b), _rows(colours, light, part)[0]
-        left = rgb - (rows @ b[:, :, None])[..., 0]
-        squares, brightness = (np.einsum("fn,fnc->n", weight, each**2) for each in (left, rgb))
-        variance = np.maximum(squares, _LEAST_RESIDUAL**2 * brightness) / np.maximum(
-            3.0 * weight.sum(axis=0), 1e-9
-        )
-        own = np.einsum("fn,fnck,fncl->nkl", weight, rows, rows, optimize=True)
-        own += (_RIDGE * np.trace(own, axis1=1, axis2=2) + 1e-12)[:, None, None] * np.eye(3)
-        mixed = np.einsum("fn,fnck,fnce->nke", weight, rows, slope, optimize=True)
-        followed = np.linalg.solve(own, mixed)
-        turned.append(followed / np.maximum(np.linalg.norm(b, axis=1), 1e-12)[:, None, None])
-        counted = share[part] / np.maximum(variance, 1e-12)
-        both = np.einsum("fn,fnce,fncg->neg", weight, slope, slope, optimize=True)
-        kept = both - mixed.transpose(0, 2, 1) @ followed
-        np.add.at(system, region[part], counted[:, None, None] * kept)
-        off = np.einsum("fn,fnce,fnc->ne", weight, slope, left, optimize=True)
-        np.add.at(right, region[part], counted[:, None] * off)
-    turns = np.concatenate(turned)
-    along = np.einsum("ni,nik->nk", skin.normals, turns)
-    turns -= skin.normals[:, :, None] * along[:, None, :]
-    return LightErrors(turned=turns, system=system, right=right)
-
-
-def _slopes(colours: SkinColours, light: SkinLight, part: slice, b: Points) -> FloatArray:
-    """Return the change of the colours (f, n, 3, 12) by the errors of the light."""
-    change = _rows(colours, light, part)[1]
-    seen = b @ colours.rotations.transpose(0, 2, 1)  # (f, n, 3), camera frame
-    by_matrix = np.asarray(light.response.matrix)[:, :, None] * seen[:, :, None, None]
-    by_nearness = np.eye(3) * (change @ b[:, :, None])
-    return np.concatenate([by_matrix.reshape(*seen.shape, 9), by_nearness], axis=-1)

@@ -130,9 +130,9 @@ class TrackBuilder:
 
 
 def _flow(source: Any, target: Any, start: Any, window_px: int) -> tuple[Any, Any]:
-    guess: Any = None  # OpenCV's stubs do not allow that there is none
+    no_start: Any = None  # OpenCV's stubs do not allow that there is none
     there, found, _ = cv2.calcOpticalFlowPyrLK(
-        source, target, start, guess, winSize=(window_px, window_px), maxLevel=3
+        source, target, start, no_start, winSize=(window_px, window_px), maxLevel=3
     )
     return there, found
 
