@@ -71,17 +71,33 @@ DOORS = {
 
 # Room -> most lines of all its files; "(root)" holds the files beside the rooms.
 LINES = {
-    "pipeline": 7800, "io": 7900, "calibration": 5400, "materials": 2900, "tracking": 3600,
-    "simulation": 3600, "diagnosis": 3950, "shadows": 3300, "cli": 3500, "report": 3200, "skinning": 2200,
+    "(root)": 1900,
+    "calibration": 5400,
+    "cli": 3500,
+    "diagnosis": 4500,
+    "evaluation": 1200,
+    "geometry": 1800,
     "integration": 2200,
-    "normals": 1700, "geometry": 1800, "(root)": 1900, "options": 1900, "evaluation": 1200,
-    "photometry": 1100, "live": 900, "meshing": 300, "tactile": 1400,
-}  # fmt: skip
+    "io": 8320,
+    "live": 900,
+    "materials": 2910,
+    "meshing": 300,
+    "normals": 1700,
+    "options": 1900,
+    "photometry": 1100,
+    "pipeline": 7800,
+    "report": 3200,
+    "shadows": 3300,
+    "simulation": 3600,
+    "skinning": 2200,
+    "tactile": 1400,
+    "tracking": 3600,
+}
 
 # Verb -> most modules of the package, and most lines of them, that are loaded before its function runs.
 CLOSURES = {
-    "reconstruct": (114, 20_000),
-    "track": (112, 19_400),
+    "reconstruct": (114, 20_600),
+    "track": (113, 19_400),
     "export": (98, 17_100),
     "view": (91, 14_900),
     "report": (108, 19_100),

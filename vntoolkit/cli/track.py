@@ -5,7 +5,7 @@ from functools import partial
 from pathlib import Path
 from statistics import median
 
-from vntoolkit.cli.output import ProgressBars, print_next
+from vntoolkit.cli.output import ProgressBars, print_next, say
 from vntoolkit.cli.verb import command, verb
 from vntoolkit.geometry.mesh import MeshSequence
 from vntoolkit.io.results.seams import read_seams
@@ -29,7 +29,8 @@ class TrackArguments(MovedFootageOptions, TrackingOptions, CheckerboardOptions, 
     seams: OptionalFile = named(None)
     """JSON file of polylines on the template image. The surface is cut along them, as at mouth and eyes."""
     template: int | None = None
-    """Number of the template frame. Default: the first. It is tracked forwards and backwards."""
+    """Number of the template frame. Default: the one that shows most of the surface, lit and sharp; with
+    --seams the first. It is tracked forwards and backwards."""
     out: OptionalFile = named(None)
     """The folder to write; default FOLDER/track."""
     lost_px: float = 4.0
@@ -85,12 +86,15 @@ def track_command(asked: TrackArguments) -> None:
     summary, files = _tracked(asked, job)
     held = f", {len(summary.missing)} missing and held" if summary.missing else ""
     resumed = f", {summary.resumed} of them from before" if summary.resumed else ""
-    print(f"{summary.folder}: {summary.vertices} vertices, {summary.frames} frames{resumed}{held}")
+    say(
+        f"{summary.folder}: {summary.vertices} vertices of frame {summary.template}, {summary.frames} "
+        f"frames{resumed}{held}"
+    )
     if summary.visible:
         middle, least = median(summary.visible), min(summary.visible)
-        print(f"reported visible: {middle:.1%} of the vertices, {least:.1%} in the worst frame")
-    print(f"{files.video}, {files.sheet.name}")
+        say(f"reported visible: {middle:.1%} of the vertices, {least:.1%} in the worst frame")
+    say(f"{files.video}, {files.sheet.name}")
     made = _textured(asked, job)
     shown = made.texture.albedo or made.texture.normal
-    print(f"{shown}: {made.covered:.1%} of the surface from {made.frames} frames, the rest filled")
+    say(f"{shown}: {made.covered:.1%} of the surface from {made.frames} frames, the rest filled")
     print_next("dress", job.target, "--motion", "data/walk.bvh", "--out", "cloth.usdc")

@@ -85,8 +85,9 @@ _MOST_CLIPPED = 0.05  # of the subject
 
 # What `--allow` takes: every name that a finding of these checks, or one about the footage, can have.
 CHECK_NAMES: dict[str, str] = {
+    "backdrop": "a backdrop that counts as subject",
     "background": "a picture of the untouched gel that is none, or of another session",
-    "black": "a frame shows nothing",
+    "black": "frames without a subject",
     "blur": "a picture out of focus, or of something that moved too fast",
     "black-level": "light on every pixel that is none of the lamps', or another range than the file's",
     "bits": "few bits per sample",
@@ -96,6 +97,7 @@ CHECK_NAMES: dict[str, str] = {
     "codec": "a lossy codec",
     "condition": "M multiplies noise",
     "cone": "a calibration that saw few directions",
+    "contacts": "contacts of a ball that are no circles",
     "corners": "a gel seen aslant, without its corners",
     "cut-off": "a file that ends early",
     "drift": "exposure or white balance that changes while filming",
@@ -117,8 +119,10 @@ CHECK_NAMES: dict[str, str] = {
     "residual": "a calibration that contradicts its samples",
     "sharpening": "a picture that was sharpened",
     "size": "frames of another size than the rig's",
+    "steps": "a lamp, a channel or the picture that changes at once",
     "stray": "files that are no frames",
     "tag": "a transfer curve that the file states against the one it is read with",
+    "times": "times of frames that cannot be",
     "transfer": "a transfer curve that is not the footage's",
     "white-balance": "other gains of the channels than at calibration",
     "zoom": "another focal length than at calibration",

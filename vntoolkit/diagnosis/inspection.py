@@ -16,12 +16,12 @@ from vntoolkit.diagnosis.checks import findings_from_evidence, findings_from_rig
 from vntoolkit.diagnosis.finding import Finding, Level
 from vntoolkit.diagnosis.lamp_nearness import Nearness, finding_from_nearness, fit_nearness
 from vntoolkit.diagnosis.rig_checks import check_stated_focal
-from vntoolkit.errors import BadCapture
 from vntoolkit.io.footage.captures import Capture, CaptureInfo, CaptureOptions, open_capture
 from vntoolkit.io.footage.frame_range import sampled
 from vntoolkit.io.footage.mattes import Mattes, open_mattes
 from vntoolkit.io.footage.pixel_formats import LOSSLESS_CODECS
 from vntoolkit.io.footage.sequence import text_of_names
+from vntoolkit.io.results.folder import numbers_in_words
 from vntoolkit.options.footage import MatteOptions
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.rig import Rig
@@ -29,8 +29,7 @@ from vntoolkit.photometry.transfer import Transfer, TransferCurve
 
 _LOSSLESS_IMAGES = frozenset({"PNG", "TIFF", "BMP", "EXR", "raw"})
 _CAMERA_CODECS = frozenset({"JPEG", "h264", "hevc", "mjpeg", "prores", "av1", "vp9"})
-_BLACK = 0.01  # of full scale: a frame in which nothing is brighter shows nothing
-_CLIPPED_WHOLLY = 0.98
+_BLACK = 0.01  # of full scale
 _CLIPPED_TOO_MUCH = 0.001
 _CLIPPED_FATALLY = 0.1
 _FULL = 0.995  # of full scale
@@ -100,9 +99,20 @@ def inspect_capture(
         clipped.append(float(frame.clipped.mean()))
         dark.append(float((largest < _BLACK * white).mean()))
         bright.append(float(np.percentile(largest, 99)))
-        findings += _findings_from_frame(frame, f"frame {number}", white)
     findings += _findings_from_range(max(bright) / white)
-    findings += findings_from_capture(capture, rig, *mattes.judged(capture, range(len(capture))))
+    shown: Sequence[int] = capture.present
+    if rig is None or rig.gel is None or capture.background is None:
+        from vntoolkit.diagnosis.steps import steps_of
+        from vntoolkit.diagnosis.subject import survey_of
+
+        survey = survey_of(capture, mattes, capture.present)
+        shown = survey.frames_like(survey.shown, capture.present)
+        if empty := sorted(set(capture.present) - set(shown)):
+            findings.append(finding_from_empty_frames(empty, len(capture.present)))
+        steps = steps_of(survey, None if rig is None else rig.response)
+        findings += steps.findings
+        shown = survey.frames_like(steps.alike, shown)
+    findings += findings_from_capture(capture, rig, *mattes.judged(capture, shown or capture.present))
     return CaptureReport(
         info=info,
         transfer=capture.transfer,
@@ -114,42 +124,24 @@ def inspect_capture(
     )
 
 
+def finding_from_empty_frames(empty: Sequence[int], count: int) -> Finding:
+    """Return what is said of frames that show no subject, of so many."""
+    some = len(empty) < count
+    return Finding(
+        check="black",
+        level=Level.WARNING if some else Level.FATAL,
+        problem=f"{numbers_in_words(empty)} {'shows' if len(empty) == 1 else 'show'} no subject",
+        measured=f"{len(empty)} of {count} frames that are black or show far less than the others",
+        expected="none",
+        remedy="they are kept as empty, and no other frame changes; --frames leaves them out"
+        if some
+        else "are the lamps on, the lens open and the mask on the subject?",
+    )
+
+
 def findings_from_header(capture: Capture) -> list[Finding]:
     """Check what a capture says of itself: frames, chroma, codec, bits, and the curve it is read with."""
     return [*_findings_from_info(capture.info), *_findings_from_transfer(capture.info, capture.transfer)]
-
-
-def _findings_from_frame(frame: LinearFrame, name: str, white: float) -> Iterator[Finding]:
-    """Find a frame that shows nothing. white: the light of a diffuse white, a share of full scale."""
-    try:
-        require_exposed(frame, name, white)
-    except BadCapture as problem:
-        brightest = float(frame.rgb.max(initial=0.0)) / white
-        what, _, remedy = str(problem).partition(": ")
-        yield Finding(
-            check="black" if brightest < _BLACK else "clipping",
-            level=Level.FATAL,
-            problem=what,
-            measured=f"a brightest value of {brightest:.1%}",
-            expected=f"{_BLACK:.0%} to 100 %",
-            remedy=remedy,
-        )
-
-
-def require_exposed(frame: LinearFrame, name: str, white: float = 1.0) -> None:
-    """Raise `BadCapture` for a frame that is black or clipped all over.
-
-    white: the light of a diffuse white, as a share of full scale.
-    """
-    brightest = float(frame.rgb.max(initial=0.0)) / white
-    if brightest < _BLACK:
-        raise BadCapture(
-            f"{name} is black: its brightest value is {brightest:.2%} of full scale; are the lights on and "
-            "the lens open?"
-        )
-    share = float(frame.clipped.mean())
-    if share > _CLIPPED_WHOLLY:
-        raise BadCapture(f"{name} is clipped at {share:.0%} of its pixels: lower the exposure and film again")
 
 
 def _findings_from_info(info: CaptureInfo) -> Iterator[Finding]:
@@ -172,6 +164,15 @@ def _findings_from_info(info: CaptureInfo) -> Iterator[Finding]:
             measured=f"{info.frame_count - len(info.missing)} files",
             expected=f"{info.frame_count}",
             remedy="copy them too, or leave these frames out with --gaps skip",
+        )
+    if info.unusable_times:
+        yield Finding(
+            check="times",
+            level=Level.WARNING,
+            problem=f"{info.unusable_times}; the frames are played at {info.frame_rate_hz:g} per second",
+            measured="times that do not tell when a frame was filmed",
+            expected="times that rise",
+            remedy="give --frame-rate-hz with the rate that they were filmed at",
         )
     if info.left_out:
         names = text_of_names([path.name for path in info.left_out])

@@ -140,7 +140,7 @@ def check_flicker(evidence: evidences.Evidence) -> list[Finding]:
     medians = np.median(beats, axis=1)
     error = _largest_error(beats, medians, evidence.blocks[seen])
     largest = float(np.abs(medians).max())
-    if largest < _LARGEST_CHANGE or largest < _Z * error:
+    if not largest >= max(_LARGEST_CHANGE, _Z * error):  # NaN tells nothing
         return []
     return [
         Finding(

@@ -50,7 +50,9 @@ def rig_from_text(text: str, name: str = "rig") -> Rig:
     """Parse the text of a rig.json; `name` stands in the messages."""
     content = parse_json(text, name, BadRig, _EXPECTED)
     stated = content.get("version", 1) if isinstance(content, dict) else 1
-    if stated not in range(1, RIG_VERSION + 1) or isinstance(stated, bool):
+    if not isinstance(stated, int) or isinstance(stated, bool):
+        raise BadRig(f"{name}: version: expected a number, got {json.dumps(stated)}")
+    if stated not in range(1, RIG_VERSION + 1):
         raise BadRig(f"{name}: is of version {stated}, this program reads 1 to {RIG_VERSION}")
     try:
         entry = RigFile.model_validate(content)

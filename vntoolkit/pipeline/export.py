@@ -119,13 +119,14 @@ def _export_animation(
     on_start: Callable[[int, int], None],
     on_frame: Advance,
 ) -> ExportSummary:
-    options, rate = job.options, result.manifest.input.playing_rate_hz
+    options, filmed = job.options, result.manifest.input
     suffix = ".glb" if options.to is ExportFormat.GLB else ".usdc"
     out = job.out or result.folder.root / "export" / f"surface{suffix}"
     if out.suffix.lower() not in ((".glb",) if suffix == ".glb" else (".usdc", ".usd")):
         raise BadInput(f"{out}: expected the name of a file that ends in {suffix}")
     lengths = file_lengths(options, result.length_unit)
     numbers = numbers_with_mesh(result, track)
+    rate, times_s = filmed.rate_of(numbers), filmed.times_of(numbers)
     atomic.require_writable_folder(out.parent)  # and remove what a killed run left there
     on_start(len(numbers), 0)
 
@@ -136,7 +137,12 @@ def _export_animation(
     if track is None:
         own = (passing(own_mesh(result, n, options, lengths.factor)) for n in numbers)
         count = write_usd_meshes(
-            out, own, frame_rate_hz=rate, metres_per_unit=lengths.metres_per_unit, up=options.up
+            out,
+            own,
+            frame_rate_hz=rate,
+            times_s=times_s,
+            metres_per_unit=lengths.metres_per_unit,
+            up=options.up,
         )
         return ExportSummary(out=out, frames=count, kept=0, is_tracked=False)
     rows = [track.numbers.index(n) for n in numbers]
@@ -147,13 +153,16 @@ def _export_animation(
     camera = viewed_from(result.camera, offset)
     if options.to is ExportFormat.GLB:
         embedded = None if texture is None else texture.content
-        count = write_glb(out, template, moving, frame_rate_hz=rate, camera=camera, texture=embedded)
+        count = write_glb(
+            out, template, moving, frame_rate_hz=rate, times_s=times_s, camera=camera, texture=embedded
+        )
     else:
         count = write_usd_sequence(
             out,
             template,
             moving,
             frame_rate_hz=rate,
+            times_s=times_s,
             metres_per_unit=lengths.metres_per_unit,
             up=options.up,
             camera=camera,
@@ -478,7 +487,8 @@ class _Diligent(FrameExport):
         result.capture  # noqa: B018 - refused before anything is written
         lights = result.rig.response.lights
         strengths: FloatArray = np.linalg.norm(lights, axis=1)
-        albedo = result.manifest.known.relative_albedo or 1.0
+        known = result.manifest.known
+        albedo = 1.0 if known.materials else known.relative_albedo or 1.0
         self._scale = _HEADROOM * max(1.0, float(albedo)) * float(strengths.max())
         self._directions = lights / strengths[:, None]
         self._intensities = np.repeat(strengths[:, None] / self._scale, 3, axis=1)
@@ -557,7 +567,7 @@ def arrays_of_frame(
 def write_tracked_npz(
     path: Path, track: TrackedSurface, numbers: tuple[int, ...], options: ExportOptions, factor: float
 ) -> None:
-    """Write the registered surface: vertices (frames, n, 3), faces, uv, uncertainty_px, frames,
+    """Write the registered surface: vertices (frames, n, 3), faces, uv, uncertainty_px, frames, times_s,
     frame_rate_hz."""
     wanted = set(numbers)
     rows = [row for row, number in enumerate(track.numbers) if number in wanted]
@@ -570,6 +580,7 @@ def write_tracked_npz(
         "faces": template.faces,
         "frames": np.array([track.numbers[row] for row in rows]),
         "frame_rate_hz": np.array(sequence.frame_rate_hz),
+        "times_s": sequence.instants_s[rows],
         "up": np.array(options.up.value),
     }
     arrays |= {name: v for name, v in (("uv", template.uv), ("colours", template.colours)) if v is not None}

@@ -1,4 +1,4 @@
-"""The subject's materials, measured once on the first frames of a run."""
+"""The subject's materials, measured once on the first frames of a run that show it."""
 
 import logging
 from collections.abc import Iterator, Sequence
@@ -53,12 +53,12 @@ _REMEDY = "film the subject while it turns, or calibrate on its own material"
 class MeasuredMaterials:
     """What the first frames tell of a subject's materials.
 
-    entries: empty where all is the rig's. relative_albedo: how bright the subject is then against the rig's
-    material; None where there are others. seen: the first frame, labelled; None where all is the rig's.
+    entries: empty where all is the rig's. relative_albedo: how bright the subject is against the rig's
+    material. seen: the first frame, labelled; None where all is the rig's.
     """
 
     entries: list[MaterialEntry]
-    relative_albedo: float | None = None
+    relative_albedo: float
     seen: "LabelledFrame | None" = None
 
 
@@ -107,6 +107,11 @@ def measured_materials(
     """
     firsts = list(first_frames(rig, options, footage, numbers))
     response, choice = rig.response, options.materials
+    try:
+        albedo = relative_albedo_from_frame(firsts[0].frame, response, firsts[0].mask)
+    except BadInput as error:
+        raise BadCapture(f"{firsts[0].name}: {error}") from error
+    short = float(np.format_float_positional(albedo, precision=4, fractional=False))
     if seeks_materials(rig, options):
         levelled, subjects = zip(*((each.by_strength, each.subject) for each in firsts), strict=True)
         central = response.central
@@ -120,13 +125,9 @@ def measured_materials(
             found, pigments = _with_pigments(found, seen)
             found = _explaining(found, pigments, seen, choice)
         if found:
-            return MeasuredMaterials(entries=_entries(in_doubt(found, searched), pigments), seen=seen)
-    try:
-        albedo = relative_albedo_from_frame(firsts[0].frame, response, firsts[0].mask)
-    except BadInput as error:
-        raise BadCapture(f"{firsts[0].name}: {error}") from error
+            entries = _entries(in_doubt(found, searched), pigments)
+            return MeasuredMaterials(entries=entries, relative_albedo=short, seen=seen)
     _warn_of_other_material(response, choice, firsts[0].frame, firsts[0].mask, albedo, lamps_in_words)
-    short = float(np.format_float_positional(albedo, precision=4, fractional=False))
     return MeasuredMaterials(entries=[], relative_albedo=short)
 
 

@@ -12,13 +12,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vntoolkit.arrays import Mask
-from vntoolkit.diagnosis.finding import Level, judge
+from vntoolkit.diagnosis.finding import Finding, Level, judge
 from vntoolkit.diagnosis.inspection import Examination, examine_capture
 from vntoolkit.errors import BadCapture, BadInput
-from vntoolkit.io.results.manifest import FindingEntry, Known, MaterialEntry
+from vntoolkit.io.results.manifest import Known, MaterialEntry
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline.frame_processor import FrameProcessor
+from vntoolkit.pipeline.recorded_findings import entries_of
 from vntoolkit.pipeline.request import Footage, Request, seeks_materials
 
 if TYPE_CHECKING:
@@ -34,9 +35,10 @@ def prepare(request: Request, footage: Footage, numbers: Sequence[int]) -> Known
     """Find what holds for the frames `numbers`; log what is wrong.
 
     Raises `FatalFinding` for what ruins normals, `BadInput` for a reference frame that is not there and for
-    materials that cannot be told, `BadCapture` for a first frame that shows nothing.
+    materials that cannot be told, `BadCapture` where no frame shows a subject.
     """
     options, rig = request.effective_options, request.rig
+    numbers, steps = _surveyed(request, footage, numbers)
     found: dict[str, object] = {"reference_frame": _reference_frame(request, footage, numbers)}
     examined = _examined(request, rig, footage, numbers)
     _judge(request, examined, fatal_alone=seeks_materials(rig, options))
@@ -62,7 +64,7 @@ def prepare(request: Request, footage: Footage, numbers: Sequence[int]) -> Known
     found |= {"blur_px": round(examined.blur_px, _DIGITS_OF_BLUR)}
     if rig.response.variation is None and not request.is_of_gel:
         found |= {"nearness": round(examined.nearness, _DIGITS_OF_NEARNESS)}
-    findings = [FindingEntry(check=f.check, level=f.level.value, text=f.text) for f in examined.findings]
+    findings = entries_of([*steps, *examined.findings])
     known = Known.model_validate(found | {"findings": findings, "materials": materials})
     near = known.with_rig(request.rig)
     if seen is None or near.response.variation is None:
@@ -71,6 +73,32 @@ def prepare(request: Request, footage: Footage, numbers: Sequence[int]) -> Known
 
     again = refitted_materials(near, options, materials, footage, numbers, seen)
     return known.model_copy(update={"materials": again})
+
+
+def _surveyed(
+    request: Request, footage: Footage, numbers: Sequence[int]
+) -> tuple[Sequence[int], list[Finding]]:
+    """Return frames that show the subject and were filmed alike, and what changes between frames at once."""
+    there = footage.usable(numbers)
+    if request.is_of_gel or not there:
+        return numbers, []
+    from vntoolkit.diagnosis.steps import steps_of
+    from vntoolkit.diagnosis.subject import survey_of
+
+    try:
+        survey = survey_of(footage.capture, footage.mattes, there)
+    except BadCapture as problem:  # a bad frame is reported when its turn comes
+        logger.debug("frames not surveyed: %s", problem)
+        return numbers, []
+    if not survey.shown:
+        raise BadCapture(
+            f"{footage.capture.name}: no frame shows a subject: all that was looked at is black; are the "
+            "lamps on, the lens open and the mask on the subject?"
+        )
+    steps = steps_of(survey, request.rig.response)
+    judge(steps.findings, request.allow)
+    alike = survey.frames_like(steps.alike, there)
+    return numbers if len(alike) == len(there) else alike, steps.findings
 
 
 def _reference_frame(request: Request, footage: Footage, numbers: Sequence[int]) -> int:

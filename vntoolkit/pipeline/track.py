@@ -40,10 +40,10 @@ PaintReader = Callable[[int, NormalMap], Paint]
 class TrackJob:
     """What to track and how.
 
-    folder: written by `reconstruct`. template: number of the template frame, None for the first one there.
-    seams: polylines on the template image. out: None for folder/track. lost_px: a vertex is called lost
-    where its expected error is above this. footage, background: as for `open_result`; where the footage is
-    not at hand, relief and shape alone are tracked.
+    folder: written by `reconstruct`. template: number of the template frame, None for the best one, or with
+    seams the first. seams: polylines on the template image. out: None for folder/track. lost_px: a vertex is
+    called lost where its expected error is above this. footage, background: as for `open_result`; where the
+    footage is not at hand, relief and shape alone are tracked.
     """
 
     folder: Path
@@ -66,13 +66,14 @@ class TrackJob:
 
 @dataclass(frozen=True, kw_only=True)
 class TrackSummary:
-    """frames: in the result; resumed: of those, on disk already; missing: numbers of those held still.
+    """template: number of its frame. frames: in the result; resumed: of those, on disk already.
 
-    visible: of every frame but the missing ones, the share of the vertices whose expected error is at most
-    `lost_px`; empty for a published method, which tells no error.
+    missing: numbers of those held still. visible: of every other frame, the share of the vertices whose
+    expected error is at most `lost_px`; empty for a published method, which tells no error.
     """
 
     folder: Path
+    template: int
     vertices: int
     frames: int
     resumed: int
@@ -100,7 +101,11 @@ def track(
     source = open_result(job.folder, footage=job.footage, background=job.background)
     numbers = source.frames_to_track
     there = [n for n in numbers if has_maps(source, n)]
-    template = there[0] if job.template is None else job.template
+    template = job.template
+    if template is None:  # seams were drawn on a frame that is known before
+        from vntoolkit.pipeline.best_frame import best_frame
+
+        template = there[0] if job.seams else best_frame(source, there)
     if template not in there:
         raise BadInput(
             f"--template {template}: that frame is not in {job.folder}; "
@@ -130,6 +135,7 @@ def track(
         )
     return TrackSummary(
         folder=target,
+        template=template,
         vertices=len(tracker.template.pixels),
         frames=len(numbers),
         resumed=resumed,
@@ -216,11 +222,12 @@ def _run(
     on_frame: Callable[[], None],
     paint_of: PaintReader | None,
 ) -> int:
-    numbers, rate = source.frames_to_track, source.manifest.input.playing_rate_hz
+    numbers, filmed = source.frames_to_track, source.manifest.input
+    rate, times_s = filmed.rate_of(numbers), filmed.times_of(numbers)
     at = numbers.index(template)
     back, ahead = numbers[:at][::-1], numbers[at + 1 :]
     mesh, first = tracker.mesh, tracker.state
-    with MeshSequenceWriter(target, mesh, frame_rate_hz=rate, resume=True) as writer:
+    with MeshSequenceWriter(target, mesh, frame_rate_hz=rate, times_s=times_s, resume=True) as writer:
         _truncate_to_memory(writer, tracker, at + 1)
         resumed = writer.frame_count
         if resumed <= at:  # the part before the template is not yet in place

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 
 from vntoolkit import __version__
-from vntoolkit.arrays import Array, Float32Array, Points, UInt16Array
+from vntoolkit.arrays import Array, Float32Array, FloatArray, Points, UInt16Array
 from vntoolkit.checks import require_finite, require_positive, require_shape
 from vntoolkit.errors import BadMesh, CannotWrite
-from vntoolkit.geometry.mesh import Mesh, vertex_normals
+from vntoolkit.geometry.mesh import Mesh, require_times, vertex_normals
 from vntoolkit.geometry.motion import Motion
 from vntoolkit.geometry.skinned_clip import SkinnedClip, ViewedFrom
 from vntoolkit.io.atomic import atomic_path
@@ -106,19 +106,26 @@ def write_glb(
     frames: Iterable[Points],
     *,
     frame_rate_hz: float,
+    times_s: FloatArray | None = None,
     camera: ViewedFrom | None = None,
     texture: Texture | None = None,
 ) -> int:
     """Write a moving surface of fixed topology, lengths in metres; return the number of frames.
 
-    frames: vertices (n, 3) in the camera frame. Normals are those of each frame. Colours go as COLOR_0, or as
+    frames: vertices (n, 3) in the camera frame. times_s: (frames,) of each, rising; None for one every
+    1 / frame_rate_hz seconds. Normals are those of each frame. Colours go as COLOR_0, or as
     the texture where there is one, since programs multiply the two. Texture coordinates go as TEXCOORD_0. The
     material is matte and two-sided. Raises `CannotWrite` where the clip exceeds 512 MiB.
     """
     if texture is not None and texture.albedo is not None:
         template = replace(template, colours=None)
-    count, parts = _content(template, frames, frame_rate_hz, str(path), camera, texture)
-    _write(path, parts)
+    require_positive(frame_rate_hz, f"{path}: frame rate")
+    count, document, binary = _content(template, frames, str(path), camera, texture)
+    if count > 1:
+        seconds = np.arange(count) / frame_rate_hz if times_s is None else times_s
+        require_times(seconds, count, f"{path}: times")
+        document["animations"] = [_animation(binary, seconds)]
+    _write(path, _pieces(document, binary))
     return count
 
 
@@ -316,13 +323,11 @@ def _images(texture: Texture, material: dict[str, Any], binary: _Binary) -> dict
 def _content(
     template: Mesh,
     frames: Iterable[Points],
-    frame_rate_hz: float,
     name: str,
     camera: ViewedFrom | None,
     texture: Texture | None,
-) -> tuple[int, list[bytes]]:
-    """Return the number of frames, and the file's bytes in pieces."""
-    require_positive(frame_rate_hz, f"{name}: frame rate")
+) -> tuple[int, dict[str, Any], _Binary]:
+    """Return the number of frames, and what describes and holds them, but for their times."""
     nothing = BadMesh(f"{name}: a GLB needs at least one frame and one triangle")
     if not len(template.faces):
         raise nothing
@@ -352,8 +357,7 @@ def _content(
     if targets:
         primitive["targets"] = targets
         mesh["weights"] = [0.0] * len(targets)
-        document["animations"] = [_animation(binary, len(targets), frame_rate_hz)]
-    return len(targets) + 1, _pieces(document, binary)
+    return len(targets) + 1, document, binary
 
 
 def _normals(positions: Float32Array, template: Mesh) -> Float32Array:
@@ -383,12 +387,11 @@ def _add_surface(binary: _Binary, primitive: dict[str, Any], template: Mesh, pos
     )
 
 
-def _animation(binary: _Binary, targets: int, frame_rate_hz: float) -> dict[str, Any]:
+def _animation(binary: _Binary, times_s: FloatArray) -> dict[str, Any]:
     """Frame k has the weight of target k − 1 at 1 and all others at 0; frame 0 is the mesh itself."""
-    times = (np.arange(targets + 1) / frame_rate_hz).astype(np.float32)
-    weights = np.eye(targets + 1, targets, k=-1, dtype=np.float32)
+    weights = np.eye(len(times_s), len(times_s) - 1, k=-1, dtype=np.float32)
     sampler = {
-        "input": binary.add(times, "SCALAR"),
+        "input": binary.add(np.asarray(times_s, dtype=np.float32), "SCALAR"),
         "output": binary.add(weights.ravel(), "SCALAR"),
         "interpolation": "LINEAR",
     }
