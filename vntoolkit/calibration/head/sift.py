@@ -140,9 +140,6 @@ def _extractor() -> Any:
     return pycolmap.FeatureExtractor.create(extraction, pycolmap.Device.cpu)
 
 
-_NEVER = 9.0
-
-
 def match_two_views(camera: Any, first: Features, second: Features) -> IntArray:
     """Match, find the epipolar geometry by RANSAC, match again along its lines; (m, 2) numbers of features.
 
@@ -170,7 +167,7 @@ def match_two_views(camera: Any, first: Features, second: Features) -> IntArray:
     if found.F is None or agreeing < max(_LEAST_MATCHES, _LEAST_AGREEING * len(matches)):
         return none
     off = _distance_to_lines(np.asarray(found.F), a, b)
-    return _mutual(np.where(off < _GUIDE_PX, angles, _NEVER))
+    return _mutual(np.where(off < _GUIDE_PX, angles, np.inf))
 
 
 _LARGEST_ANGLE = 0.7  # between descriptors of one point, radians; COLMAP's
