@@ -71,13 +71,13 @@ DOORS = {
 
 # Room -> most lines of all its files; "(root)" holds the files beside the rooms.
 LINES = {
-    "(root)": 1900,
+    "(root)": 1950,
     "calibration": 5400,
     "cli": 3500,
     "diagnosis": 4500,
     "evaluation": 1200,
     "geometry": 1800,
-    "integration": 2200,
+    "integration": 2250,
     "io": 8320,
     "live": 900,
     "materials": 2910,
