@@ -115,7 +115,7 @@ def calibrate_head(
     turn = _Turn(capture=capture, undistorter=undistorter, footage=footage, motion=carved.motion)
     with clock.stage("light"):
         chosen = spread_over_turn(carved.views, options.samples.light_frames)
-        samples = sample_head(shape, carved.motion.camera, list(turn.frames(chosen)), options.samples, rng)
+        samples = sample_head(shape, carved.motion.camera, turn.frames(chosen), options.samples, rng)
         light = fit_light(samples, HeadRays(shape), options.light, rng)
         on_progress("light", 1, 1)
     mesh, refined = shape, None
