@@ -71,14 +71,14 @@ DOORS = {
 
 # Room -> most lines of all its files; "(root)" holds the files beside the rooms.
 LINES = {
-    "(root)": 1900,
+    "(root)": 1960,
     "calibration": 4750,
     "cli": 3500,
     "diagnosis": 4500,
     "evaluation": 1200,
     "geometry": 1800,
     "integration": 2200,
-    "io": 8320,
+    "io": 8450,
     "live": 900,
     "materials": 2910,
     "meshing": 300,
@@ -96,15 +96,15 @@ LINES = {
 
 # Verb -> most modules of the package, and most lines of them, that are loaded before its function runs.
 CLOSURES = {
-    "reconstruct": (114, 20_600),
-    "track": (113, 19_400),
-    "export": (98, 17_100),
-    "view": (91, 14_900),
-    "report": (108, 19_100),
-    "dress": (115, 20_600),
-    "simulate": (76, 12_000),
+    "reconstruct": (82, 14_000),
+    "track": (92, 14_000),
+    "export": (59, 9_500),
+    "view": (62, 9_900),
+    "report": (60, 9_600),
+    "dress": (91, 16_200),
+    "simulate": (73, 11_800),
     "doctor": (28, 3_900),
-    "board": (28, 3_400),
+    "board": (28, 3_500),
     "schema": (23, 2_800),
 }
 

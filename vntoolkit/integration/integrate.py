@@ -14,11 +14,6 @@ from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
 from vntoolkit.integration.cast_shadows import DepthSteps
-from vntoolkit.integration.discontinuity import (
-    confidence_of_edges,
-    evidence_from_chords,
-    solve_discontinuous,
-)
 from vntoolkit.integration.edges import (
     Components,
     PixelGraph,
@@ -211,6 +206,12 @@ class DomainSolver:
         self, normals: Normals, weight: Weight | None, steps: DepthSteps | None = None
     ) -> Float64Array:
         """Robust least squares that cuts edges across depth discontinuities."""
+        from vntoolkit.integration.discontinuity import (
+            confidence_of_edges,
+            evidence_from_chords,
+            solve_discontinuous,
+        )
+
         graph, scale = self._graph, self._rays.pixels_per_unit
         chords = chords_from_normals(
             normals[self.domain],
