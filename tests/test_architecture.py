@@ -72,7 +72,7 @@ DOORS = {
 # Room -> most lines of all its files; "(root)" holds the files beside the rooms.
 LINES = {
     "(root)": 1960,
-    "calibration": 5400,
+    "calibration": 4750,
     "cli": 3500,
     "diagnosis": 4500,
     "evaluation": 1200,
