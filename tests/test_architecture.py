@@ -85,7 +85,7 @@ CLOSURES = {
     "export": (98, 17_100),
     "view": (91, 14_900),
     "report": (108, 19_100),
-    "integrate": (114, 20_000),
+    "integrate": (102, 16_700),
     "dress": (115, 20_600),
     "simulate": (76, 12_000),
     "doctor": (28, 3_900),
