@@ -72,7 +72,7 @@ DOORS = {
 # Room -> most lines of all its files; "(root)" holds the files beside the rooms.
 LINES = {
     "pipeline": 7800, "io": 7990, "calibration": 5400, "materials": 2900, "tracking": 3600,
-    "simulation": 3600, "diagnosis": 3950, "shadows": 3300, "cli": 3500, "report": 3200, "skinning": 2200,
+    "simulation": 3600, "diagnosis": 3950, "shadows": 3300, "cli": 3570, "report": 3200, "skinning": 2200,
     "integration": 2200,
     "normals": 1700, "geometry": 1800, "(root)": 1900, "options": 1900, "evaluation": 1200,
     "photometry": 1100, "live": 900, "meshing": 300, "tactile": 1400,
