@@ -20,6 +20,7 @@ from vntoolkit.integration.integrate import DepthAnchor, DepthIntegrator
 from vntoolkit.io.files import read_text
 from vntoolkit.io.footage.captures import Capture, open_capture
 from vntoolkit.io.footage.frame_range import FrameRange
+from vntoolkit.io.footage.sequence import natural_key
 from vntoolkit.io.maps_and_meshes.label_images import read_mask
 from vntoolkit.io.maps_and_meshes.stored_normals import (
     SUFFIXES,
@@ -42,7 +43,7 @@ from vntoolkit.pipeline.outputs import FrameResult, ReconstructionFolder
 
 logger = logging.getLogger(__name__)
 _MOST_BACKWARD = 0.25  # of the normals: more is no noise at the outline, but other axes
-_OF_DILIGENT = ("Normal_gt.mat", "Normal_est.mat", "normal.png", "normal_map.png")
+_OF_DILIGENT = ("normals.exr", "Normal_gt.mat", "Normal_est.mat", "normal.png", "normal_map.png")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,7 +120,8 @@ def _files_of(path: Path) -> tuple[Path, ...]:
         if (path / name).exists():
             return (path / name,)
     path = path / "normals" if (path / "normals").is_dir() else path
-    return tuple(sorted(f for f in path.iterdir() if f.suffix.lower() in SUFFIXES and f.name != "mask.png"))
+    maps = (f for f in path.iterdir() if f.suffix.lower() in SUFFIXES and f.name != "mask.png")
+    return tuple(sorted(maps, key=natural_key))
 
 
 def _video_source(capture: Capture, path: Path) -> NormalSource:
