@@ -3,7 +3,7 @@
 PYTHON := .venv/bin/python
 READY := .venv/.ready
 
-.PHONY: demo test test-slow ratios fuzz error-coverage lint docs lock clean
+.PHONY: demo test test-slow ratios measure fuzz error-coverage lint docs lock clean
 
 demo: $(READY)
 	$(PYTHON) -m vntoolkit demo --out out/demo --overwrite --jobs 2
@@ -17,6 +17,10 @@ test-slow: $(READY)
 # Times of the default as ratios to a plain frame.
 ratios: $(READY)
 	$(PYTHON) -m benchmarks.ratios
+
+# Every number of docs/measured.md, and the page; an hour. VNTOOLKIT_REAL_DATA: photographs, scans, gels.
+measure: $(READY)
+	$(PYTHON) -m benchmarks.measure
 
 # Ten thousand damaged files of every kind that is read, then every interrupted run; prints its seed.
 fuzz: $(READY)
@@ -49,7 +53,6 @@ $(READY): requirements.lock pyproject.toml scripts/set_up.sh
 
 # Newest versions that pyproject.toml admits, pinned with hashes for every platform.
 lock: $(READY)
-	$(PYTHON) -m pip install --quiet uv
 	.venv/bin/uv pip compile pyproject.toml --all-extras --universal --python-version 3.11 \
 	    --generate-hashes --no-emit-index-url --upgrade --quiet --custom-compile-command "make lock" \
 	    --output-file requirements.lock

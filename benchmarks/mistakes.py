@@ -1,6 +1,6 @@
 """Are the usual mistakes found, their remedy named, and clean captures left in peace?
 
-python -m benchmarks.mistakes [FOLDER ...] [--seeds 1 2] [--scenes face jacket] [--out FILE]    # 4 min
+python -m benchmarks.mistakes [FOLDER ...] [--seeds 1 2] [--scenes face jacket] [--out DIR]    # 4 min
 
 Every scene of the simulator is filmed (four frames of 480×360) with the true M of the middle of the picture.
 FOLDER: a capture of your own with its right rig, `rig.json`, the frames as `capture.mkv` or in `frames/`, and
@@ -13,7 +13,6 @@ there is neither. A capture counts as clean where no warning is given, but for c
 from __future__ import annotations
 
 import argparse
-import json
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator
@@ -36,6 +35,7 @@ from vntoolkit.options.simulation import Nuisances, SceneOptions
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import Transfer, encoded_from_linear, linear_from_encoded
+from vntoolkit.report.recipes_page import number, write_numbers
 from vntoolkit.simulation.image_formation import true_response
 from vntoolkit.simulation.render import render_frame
 from vntoolkit.simulation.scene import SCENES, build_scene
@@ -233,7 +233,7 @@ def main() -> None:
     parser.add_argument("folders", nargs="*", type=Path, metavar="FOLDER")
     parser.add_argument("--seeds", nargs="*", type=int, default=[1, 2])
     parser.add_argument("--scenes", nargs="*", choices=scenes, default=scenes)
-    parser.add_argument("--out", type=Path)
+    parser.add_argument("--out", type=Path, help="folder for numbers.json")
     arguments = parser.parse_args()
     sources: list[tuple[str, Callable[[], tuple[Shot, np.ndarray]]]] = []
     for folder in arguments.folders:
@@ -266,13 +266,13 @@ def main() -> None:
             if not named:
                 missed.append(f"{name}: {what}: {' | '.join(texts) or 'nothing said'}")
         print(f"{name}: done", flush=True)
-        if arguments.out:
-            counts = {what: [sum(each), len(each)] for what, each in found.items()}
-            arguments.out.write_text(json.dumps({"counts": counts, "missed": missed}, indent=1) + "\n")
     print("\n".join(missed))
     for what, each in found.items():
         without = f"   {silent[what]} silent" if silent[what] else ""
         print(f"{what:38s} {sum(each):4d} of {len(each):4d}{without}")
+    if arguments.out:
+        counts = {what: f"{sum(each)} of {len(each)}" for what, each in found.items()}
+        write_numbers(arguments.out, [number(what, count, "captures") for what, count in counts.items()])
     print(f"processor time of the checks of a clean capture: median {np.median(seconds):.2f} s, ", end="")
     print(f"most {max(seconds):.2f} s")
 

@@ -1,6 +1,6 @@
 """Real objects' normals, painted with random materials and lit by three lamps: how well they are told.
 
-python -m benchmarks.painted_objects [--data FOLDER] [--seeds 1 2] [--out painted.json]      # 2 min a seed
+python -m benchmarks.painted_objects [--data FOLDER] [--seeds 1 2] [--out DIR]      # 2 min a seed
 
 Each of four objects is painted with one, two, four, six materials in Voronoi patches, ρ of 0.25 to 0.95 in
 every band, stored in 8 or 16 bits with noise of one level. Lamps, camera and mask are given. A line says the
@@ -11,7 +11,6 @@ reflectance known, and in how many pictures the number of materials is right.
 from __future__ import annotations
 
 import argparse
-import json
 import os
 from pathlib import Path
 
@@ -24,6 +23,7 @@ from vntoolkit.normals.inversion import normals_from_frame
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.pipeline.evaluate import read_object
+from vntoolkit.report.recipes_page import number, write_numbers
 
 OBJECTS, COUNTS, BITS = ("pot2", "cow", "bear", "reading"), (1, 2, 4, 6), (8, 16)
 DIRECTIONS = np.array([[0.5, 0.0, -0.866], [-0.25, 0.433, -0.866], [-0.25, -0.433, -0.866]])
@@ -82,11 +82,11 @@ def parser_of_objects(description: str | None) -> argparse.ArgumentParser:
 def main() -> None:
     parser = parser_of_objects(__doc__)
     parser.add_argument("--seeds", type=int, nargs="+", default=[1])
-    parser.add_argument("--out", type=Path)
+    parser.add_argument("--out", type=Path, help="folder for numbers.json")
     arguments = parser.parse_args()
     if arguments.data is None:
         raise SystemExit("give --data FOLDER: the folder with pot2, cow, bear, reading")
-    lines = []
+    numbers, right, pictures = [], 0, 0
     for bits in BITS:
         for count in COUNTS:
             runs = [
@@ -95,15 +95,17 @@ def main() -> None:
                 for place, name in enumerate(OBJECTS)
             ]
             errors, known, found = np.array(runs).T
-            line = {
-                "bits": bits, "materials": count, "mean_deg": round(errors.mean(), 2),
-                "worst_deg": round(errors.max(), 2), "known_deg": round(known.mean(), 2),
-                "number_right": int((found == count).sum()), "pictures": len(runs),
-            }  # fmt: skip
-            lines.append(line)
-            print(line, flush=True)
+            right, pictures = right + int((found == count).sum()), pictures + len(runs)
+            what = f"{bits} bits, materials {count}"
+            numbers += [
+                number(f"{what}: mean error", float(errors.mean()), "degrees"),
+                number(f"{what}: worst object", float(errors.max()), "degrees"),
+                number(f"{what}: every reflectance known", float(known.mean()), "degrees"),
+            ]
+            print(what, *(f"{each.ours:.2f}" for each in numbers[-3:]), flush=True)
+    numbers.append(number("number of materials right", f"{right} of {pictures}", "pictures"))
     if arguments.out:
-        arguments.out.write_text(json.dumps(lines, indent=1))
+        print(write_numbers(arguments.out, numbers))
 
 
 if __name__ == "__main__":

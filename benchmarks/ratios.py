@@ -1,6 +1,6 @@
 """Times of the default as ratios to a plain frame, so that a slower default is seen on any machine.
 
-python -m benchmarks.ratios [--size 640x360] [--frames 10]      # half a minute
+python -m benchmarks.ratios [--size 640x360] [--frames 10] [--out DIR]      # half a minute
 
 A plain frame goes from 8-bit samples to normals and depth without shadows. The sheet is that of
 `benchmarks.pipeline`; "a third" is its ellipse. Times are medians.
@@ -27,6 +27,7 @@ from vntoolkit.io.footage.video import write_video
 from vntoolkit.io.maps_and_meshes.label_images import write_mask
 from vntoolkit.options.normals import ShadowMethod
 from vntoolkit.options.reconstruction import Product
+from vntoolkit.report.recipes_page import number, write_numbers
 
 
 def measure(width: int, height: int, frames: int) -> dict[str, float]:
@@ -57,11 +58,15 @@ def main() -> None:
     )
     parser.add_argument("--size", default="640x360")
     parser.add_argument("--frames", type=int, default=10)
+    parser.add_argument("--out", type=Path, help="folder for numbers.json")
     arguments = parser.parse_args()
     width, height = map(int, arguments.size.split("x"))
     times = measure(width, height, arguments.frames)
     for what, milliseconds in times.items():
         print(f"{what:34} {milliseconds:8.1f} ms {milliseconds / times['plain frame']:7.1f} plain frames")
+    if arguments.out:
+        numbers = [number(what, each / times["plain frame"], "plain frames") for what, each in times.items()]
+        write_numbers(arguments.out, [number("a plain frame", times["plain frame"], "ms"), *numbers])
 
 
 if __name__ == "__main__":

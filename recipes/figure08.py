@@ -57,10 +57,16 @@ def compare(folder: Path, out: Path) -> dict[str, list[TrackError]]:
 def main(out: Path, frames: int = 1000, scene: str = "face") -> None:
     """Write pictures, tables and `numbers.json` into the folder `out`."""
     last = {name: rows[-1] for name, rows in compare(reconstruction(scene, frames, out), out).items()}
-    numbers = [number(f"{n}: median at frame {e.frame}", e.median_px, "px") for n, e in last.items()]
-    tails = [number(f"{n}: 95 % at frame {e.frame}", e.p95_px, "px") for n, e in last.items()]
-    found = [number(f"{n}: 95 % of {1 - e.lost:.0%} found", e.found_p95_px, "px") for n, e in last.items()]
-    print(write_numbers(out, numbers + tails + found))
+    numbers = []
+    for name, error in last.items():
+        here = f"{name}, last of {frames} frames"
+        numbers += [
+            number(f"{here}: median", error.median_px, "px"),
+            number(f"{here}: 95th percentile", error.p95_px, "px"),
+            number(f"{here}: visible", 100 * (1 - error.lost), "%"),
+            number(f"{here}: 95th percentile of the visible", error.found_p95_px, "px"),
+        ]
+    print(write_numbers(out, numbers))
 
 
 def run(documentation: str, name: str, scene: str) -> None:

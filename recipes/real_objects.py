@@ -57,6 +57,7 @@ def main(out: Path, data: Path) -> None:
         for group, error in table[name].items():
             share = 100 * error.pixels / table[name]["all"].pixels
             lines = (
+                ("pixels", share, "% of all"),
                 ("median", error.median_deg, "degrees"),
                 ("mean", error.mean_deg, "degrees"),
                 ("mean without finding shadows", inverted[group].mean_deg, "degrees"),
@@ -65,7 +66,7 @@ def main(out: Path, data: Path) -> None:
                 ("below 20 degrees", 100 * error.below_20, "%"),
             )
             for what, value, unit in lines:
-                numbers.append(number(f"{name}, {group} ({share:.0f} % of it), {what}", value, unit))
+                numbers.append(number(f"{name}, {group}: {what}", value, unit))
     groups = {
         group: [errors[group].mean_deg if group in errors else nan for errors in table.values()]
         for group in ("all", "three lights", "two lights", "one light")

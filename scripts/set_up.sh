@@ -58,7 +58,8 @@ fi
 [ -x .venv/bin/python ] || "$python" -m venv .venv
 echo "set-up: installing the locked Python packages into .venv (about 2.3 GB, once)"
 .venv/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
-.venv/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --editable .
+# the build backend is one of the locked packages: with isolation pip would fetch the newest one, unpinned
+.venv/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
 echo "set-up: compiling loops (a minute or two, once)"
 .venv/bin/python scripts/compile_loops.py 2>/dev/null ||
     echo "set-up: some loops were not compiled; the first commands will do it" >&2

@@ -137,8 +137,10 @@ def _began_with_interrupt(error: BaseException | None) -> bool:
 
 
 def _fail(message: str, status: int = 1) -> int:
+    from vntoolkit.errors import printable_line
+
     with contextlib.suppress(OSError):
-        print(f"vntoolkit: {message}", file=sys.stderr)
+        print(f"vntoolkit: {printable_line(message)}", file=sys.stderr)
     return status
 
 
@@ -159,12 +161,17 @@ def _require_sound_date() -> None:
 def _set_up_logging() -> None:
     import logging
 
-    logging.basicConfig(level=logging.WARNING, format="vntoolkit: %(message)s")
+    from vntoolkit.cli.messages import OneLineFormatter
+
+    shown = logging.StreamHandler()
+    shown.setFormatter(OneLineFormatter("vntoolkit: %(message)s"))
+    logging.basicConfig(level=logging.WARNING, handlers=[shown])
     logging.getLogger("vntoolkit.diagnosis").setLevel(logging.INFO)  # what could not be checked is said
-    if not sys.warnoptions:  # numpy's lines about a division tell a user nothing: what came of it is checked
+    logging.getLogger("vntoolkit.native").setLevel(logging.INFO)  # what is compiled takes a while
+    if not sys.warnoptions:  # what libraries warn of tells a user nothing: what came of it is checked
         import warnings
 
-        warnings.simplefilter("ignore", RuntimeWarning)
+        warnings.simplefilter("ignore")
 
 
 if __name__ == "__main__":

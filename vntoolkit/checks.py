@@ -64,10 +64,16 @@ def checks_kinds(function: Callable[P, R]) -> Callable[P, R]:
             for name, value in signature.bind(*given, **named).arguments.items():
                 kind, may_be_none = kinds.get(name, (object, True))
                 if not (value is None and may_be_none) and not _is_of_kind(value, kind):
-                    raise BadInput(_wrong_kind(f"{function.__name__}: {name}", kind, value))
+                    raise BadInput(_wrong_kind(f"{_called(function)}: {name}", kind, value))
         return function(*given, **named)
 
     return checked
+
+
+def _called(function: Callable[..., Any]) -> str:
+    """Return what a caller writes: the class for its constructor, else the function."""
+    *owner, name = function.__qualname__.split(".")
+    return owner[-1] if name == "__init__" else name
 
 
 def _kinds_of(function: Callable[..., Any]) -> dict[str, tuple[type, bool]]:

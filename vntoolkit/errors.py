@@ -9,9 +9,14 @@ LONGEST_MESSAGE = 900
 """Characters of a message; a longer one loses its middle, so that a hostile file cannot flood a terminal."""
 
 
+def escaped(text: str) -> str:
+    """Return text as one line; what is unprintable, and what a terminal obeys, is escaped as in `repr`."""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+
+
 def printable_line(text: str) -> str:
     """Return text as one line of limited length; unprintable characters are escaped as in `repr`."""
-    line = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+    line = escaped(text)
     if len(line) <= LONGEST_MESSAGE:
         return line
     kept = LONGEST_MESSAGE // 2 - len(" [...]")
@@ -38,6 +43,10 @@ class BadCapture(BadInput):
     """A video, an image or a sequence cannot be used as a capture."""
 
     page = "docs/wrong.md#footage"
+
+
+class NoSubject(BadCapture):
+    """A frame shows no subject: all of it is black, clipped or outside the mask. No run stops for it."""
 
 
 class BadRig(BadInput):

@@ -9,6 +9,7 @@ import contextlib
 import ctypes
 import functools
 import importlib
+import logging
 import os
 import re
 import stat
@@ -48,6 +49,7 @@ _TRIM_THRESHOLD, _TOP_PAD, _MMAP_THRESHOLD = -1, -2, -3  # of mallopt(3)
 _KEPT_BYTES = 1 << 30
 _MORE_THAN_A_HEAP = 1 << 27  # bytes; threads other than the first have heaps of half of that
 _lock = threading.Lock()
+_LOGGER = logging.getLogger(__name__)
 
 
 def missing_libraries(libraries: dict[str, str]) -> dict[str, str]:
@@ -129,6 +131,15 @@ def _put_off(package: str, module: str) -> Iterator[None]:
 def import_pymeshlab() -> Any:
     """Import pymeshlab, or raise `MissingDependency` with the line that installs what it lacks."""
     return _import("pymeshlab", PYMESHLAB_LIBRARIES)
+
+
+def require_installed(module: str, distribution: str, use: str) -> None:
+    """Raise `MissingDependency` where a Python library cannot be imported that only this use needs."""
+    try:
+        importlib.import_module(module)
+    except ImportError as error:
+        line = f"pip install {distribution}"
+        raise MissingDependency(f"{use}, and {distribution} is missing: {line}") from error
 
 
 def limit_threads(count: int) -> None:
@@ -320,12 +331,14 @@ class _Compiler:
         self._pipe: Any = None
         self._asked_by = 0  # process id: a fork has the pipe, but not the right to use it
         self.is_off = False  # in the process that compiles, and where asking is of no use
+        self._told: set[str] = set()
 
     def compiles(self, function: Callable[..., Any], signature: Any) -> bool:
         """True where the other process has compiled a kernel; numba lets one thread ask at a time."""
         name = function.__qualname__
         if self.is_off or not function.__module__.startswith("vntoolkit.") or not name.isidentifier():
             return False
+        self._tell(function.__module__.split(".")[1])
         try:
             if self._asked_by != os.getpid():
                 self._start()
@@ -334,6 +347,12 @@ class _Compiler:
         except Exception:  # it could not be started or asked
             self.is_off = True
             return False
+
+    def _tell(self, part: str) -> None:
+        """Say what is waited for, a line for each part of the package: some are met in some footage only."""
+        if part not in self._told:
+            self._told.add(part)
+            _LOGGER.info("compiling the loops of %s, once per installation ...", part)
 
     def _start(self) -> None:
         from multiprocessing import Pipe

@@ -5,11 +5,12 @@ import pytest
 
 from vntoolkit.calibration.board import fit_response_to_board
 from vntoolkit.calibration.board_detection import BoardSighting
-from vntoolkit.errors import BadCalibration
+from vntoolkit.calibration.varying import fit_varying_response
+from vntoolkit.errors import BadCalibration, BadInput
 from vntoolkit.geometry.board_layout import NORMAL_IN_BOARD, BoardLayout
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.rigid import RigidTransform
-from vntoolkit.options.calibration import BoardOptions
+from vntoolkit.options.calibration import BoardOptions, ResponseFitOptions
 
 LAYOUT = BoardLayout(columns=7, rows=7, hole_squares=3, square_mm=40.0)
 CAMERA = Camera.pinhole(width=640, height=480, focal_px=3000)
@@ -64,3 +65,20 @@ def test_a_board_held_in_one_place_tells_no_variation(rng: np.random.Generator) 
     seen = sightings(rng, reach=0.01)
     with pytest.raises(BadCalibration, match="too few places"):
         fit_response_to_board(seen, LAYOUT, (640, 480), CAMERA, BoardOptions(degree=2), rng)
+
+
+def test_colours_that_fit_no_response_do_not_move_one_that_varies(rng: np.random.Generator) -> None:
+    normals = np.column_stack([rng.normal(0, 0.3, (400, 2)), -np.ones(400)])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    places = rng.uniform(0, 1, (400, 2)) * [CAMERA.width - 1, CAMERA.height - 1]
+    x = places[:, :1] / CAMERA.width - 0.5
+    matrix = COLOURS.T @ LIGHTS_MM / 1500.0
+    rgb = (1.0 + 0.2 * x) * (normals @ matrix.T)
+    rgb[::20] = 0.0
+    size, options = (CAMERA.width, CAMERA.height), ResponseFitOptions()
+    fitted = fit_varying_response(normals, rgb, places, size, 1, options)
+    at_left, _ = fitted.at(np.array([0.0, 100.0]))
+    np.testing.assert_allclose(at_left, 0.9 * matrix, atol=1e-6)
+    rgb[7] = np.nan
+    with pytest.raises(BadInput, match="colours: 3 of 1200 values are NaN"):
+        fit_varying_response(normals, rgb, places, size, 1, options)

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from tests.calibration.turning_egg import CAMERA, DISTANCE, egg_surface, render_egg, turning_poses
 from vntoolkit.calibration.head.hull import SilhouetteView
 from vntoolkit.calibration.head.patches import detail_in_8_bits, find_again
-from vntoolkit.calibration.head.poses import HeadMotion, settle_head_motion
+from vntoolkit.calibration.head.poses import HeadMotion, adjust_head_motion
 from vntoolkit.geometry.mesh import Mesh, vertex_normals
 from vntoolkit.geometry.rays import RayScene, pixel_rays
 from vntoolkit.geometry.rigid import RigidTransform
@@ -96,7 +96,7 @@ def test_poses_that_drifted_come_right():
         error_px=0.3,
         observations=9000,
     )
-    settled, moved = settle_head_motion(motion, tracks, points, track)
+    settled, moved = adjust_head_motion(motion, tracks, points, track)
 
     def waves_deg(found):  # of an egg as small, how far all of it turns is known to half a percent only
         pairs = zip(POSES, found, strict=True)
@@ -125,6 +125,6 @@ def test_too_few_patches_leave_the_motion_as_it_is():
         error_px=0.3,
         observations=9000,
     )
-    settled, moved = settle_head_motion(motion, tracks.of_points(few), points[few], track[few])
+    settled, moved = adjust_head_motion(motion, tracks.of_points(few), points[few], track[few])
     assert settled is motion
     assert moved.apply(points) == pytest.approx(points)

@@ -4,7 +4,8 @@ from scipy.spatial.transform import Rotation
 
 from tests.calibration.turning_points import tracks_of, turning_ball
 from vntoolkit.calibration.head.colmap import camera_for_colmap, camera_from_colmap, colmap_from_pixels
-from vntoolkit.calibration.head.poses import fit_affine_model, metric_poses, solve_head_motion
+from vntoolkit.calibration.head.factorisation import fit_affine_model, metric_poses
+from vntoolkit.calibration.head.poses import solve_head_motion
 from vntoolkit.calibration.head.tracks import Tracks
 from vntoolkit.errors import BadCalibration, BadInput
 from vntoolkit.geometry.camera import Camera

@@ -5,8 +5,8 @@ import re
 import numpy as np
 import pytest
 
+from vntoolkit.calibration.head.factorisation import fit_affine_model, metric_poses
 from vntoolkit.calibration.head.light import fit_light
-from vntoolkit.calibration.head.poses import fit_affine_model, metric_poses
 from vntoolkit.calibration.head.samples import HeadSamples
 from vntoolkit.calibration.head.silhouettes import Silhouette, find_silhouette, require_head
 from vntoolkit.calibration.head.tracks import Tracks, require_tracks
@@ -63,7 +63,7 @@ def tracks_of(points: int, frames: int, moves: float = 5.0, missing: frozenset[i
     """Points on a grid that all move alike; the later half is not seen in the missing frames."""
     rng = np.random.default_rng(3)
     start = rng.uniform(0, 40, (points, 2))
-    seen = [(p, f) for f in range(frames) for p in range(points) if f not in missing or p < points // 9]
+    seen = [(p, f) for p in range(points) for f in range(frames) if f not in missing or p < points // 9]
     point, frame = np.array(seen, dtype=int).reshape(-1, 2).T
     return Tracks(
         point=point,
@@ -110,13 +110,10 @@ def test_skin_that_tells_no_light(rng):
     normals = rng.normal(size=(400, 3))
     normals[:, 2] = -np.abs(normals[:, 2]) - 0.5
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    for samples, line in (
-        (
-            samples_of(np.tile([0, 0, -1.0], (400, 1)), np.full((400, 3), 0.5)),
-            "no three samples of skin",
-        ),
-        (samples_of(normals, np.full((400, 3), 0.5)), "no three samples|agree on one light response"),
-        (samples_of(normals, rng.uniform(0.1, 1, (400, 3))), "agree on one light response; check that all"),
+    for samples in (
+        samples_of(np.tile([0, 0, -1.0], (400, 1)), np.full((400, 3), 0.5)),
+        samples_of(normals, np.full((400, 3), 0.5)),
+        samples_of(normals, rng.uniform(0.1, 1, (400, 3))),
     ):
-        with pytest.raises(BadCalibration, match=f"light: .*({line})"):
+        with pytest.raises(BadCalibration, match=r"light: only \d+% .* agree on one light response; check"):
             fit_light(samples, None, LightOptions(), rng)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.calibration.turning_egg import AXES, CAMERA, DISTANCE, egg_surface, turning_poses
-from vntoolkit.calibration.head.refinement import PositionSolver
+from vntoolkit.calibration.head.positions import PositionSolver
 from vntoolkit.calibration.head.rims import RimTargets, rim_targets
 from vntoolkit.calibration.head.samples import LightFrame
 from vntoolkit.calibration.head.skin import SkinNormals
@@ -97,7 +97,6 @@ def test_held_vertices_go_to_their_places_and_take_their_neighbours_along():
         albedo=np.ones_like(mesh.vertices),
         noise=np.full(len(mesh.vertices), 0.01),
         scaled=mesh.normals,
-        tint=np.ones_like(mesh.vertices),
         weight=np.ones((1, len(mesh.vertices)), np.float32),
         agrees=np.ones((1, len(mesh.vertices)), bool),
     )
@@ -105,7 +104,7 @@ def test_held_vertices_go_to_their_places_and_take_their_neighbours_along():
     ring = np.abs(mesh.normals[:, 2]) < 0.05
     places = mesh.vertices + PIXEL * mesh.normals
     density = (0.5 * PIXEL) ** 2 * (16 * PIXEL) ** 2  # stereo is off by half a pixel over 16 by 16
-    solver.hold(RimTargets(places=places, weight=ring / (0.1 * PIXEL) ** 2), density)
+    solver.add_contours(RimTargets(places=places, weight=ring / (0.1 * PIXEL) ** 2), density)
     moved = ((solver.positions() - mesh.vertices) * mesh.normals).sum(axis=1) / PIXEL
     assert moved[ring].mean() == pytest.approx(1.0, abs=0.1)
     beside = (np.abs(mesh.normals[:, 2]) > 0.1) & (np.abs(mesh.normals[:, 2]) < 0.2)

@@ -12,6 +12,7 @@ from vntoolkit.cli import doctor
 from vntoolkit.native import NUMBA_LIBRARIES, OPEN3D_LIBRARIES, PYMESHLAB_LIBRARIES
 
 ROOT = Path(__file__).resolve().parents[2]
+LOCK = ROOT / "requirements.lock"
 SYSTEM_LIBRARIES = {**OPEN3D_LIBRARIES, **PYMESHLAB_LIBRARIES, **NUMBA_LIBRARIES}
 
 
@@ -98,3 +99,20 @@ def test_set_up_and_the_readme_name_the_system_libraries_that_the_package_needs(
         r"^sudo apt-get install (.*)$", (ROOT / "README.md").read_text(encoding="utf-8"), re.MULTILINE
     )
     assert set(line[1].split()) == set(SYSTEM_LIBRARIES.values())
+
+
+def test_nothing_is_fetched_that_is_not_pinned():
+    """pip checks hashes, or installs this package by the locked backend; the image is named by digest."""
+    pinned = r"(?m)^([a-z0-9][\w.-]*)==\S+(?: ;[^\\\n]*)? \\\n\s+(--hash)=sha256:"
+    locked = dict(re.findall(pinned, LOCK.read_text("utf-8")))
+    backend = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["build-system"]["requires"]
+    for name in [*(re.split(r"[<>=!~ ]", each)[0] for each in backend), "editables", "uv"]:
+        assert locked.get(name) == "--hash", f"{name} is not in requirements.lock with its hashes"
+    for script in ("scripts/set_up.sh", "Makefile"):
+        for line in (ROOT / script).read_text("utf-8").splitlines():
+            if "pip install" in line and not line.lstrip().startswith("#"):
+                own = "--no-deps --no-build-isolation --editable ." in line
+                assert own or "--require-hashes -r" in line, f"{script}: {line}"
+    images = re.findall(r"(?m)^FROM (\S+)", (ROOT / "Dockerfile").read_text("utf-8"))
+    assert images
+    assert all(re.fullmatch(r"\S+@sha256:[0-9a-f]{64}", image) for image in images)

@@ -97,7 +97,7 @@ def test_clipping_black_and_white_frames_are_found(tmp_path, picture):
     report = inspect_capture(_store(tmp_path / "a.png", bright))
     assert report.clipped_share == pytest.approx((bright == 1).any(axis=2).mean(), abs=1e-3)
     assert any("of the pixels are clipped" in text for text in _texts(report, Level.FATAL))
-    for value, line in ((0.0, "frame 0 is black"), (1.0, "frame 0 is clipped at 100%")):
+    for value, line in ((0.0, "frame 0 shows no subject"), (1.0, "100.0% of the pixels are clipped")):
         report = inspect_capture(_store(tmp_path / "a.png", np.full_like(picture, value)))
         assert any(line in text for text in _texts(report, Level.FATAL))
 

@@ -14,11 +14,13 @@ from pathlib import Path
 import numpy as np
 from mutators import mutate
 from specimens import KINDS, copy_of
+from stated_files import CHANGES, fault_of
 
 from vntoolkit.errors import VntError
 
 MEMORY_LIMIT_MB = 512  # beyond what the process held before; the specimens have a few kilobytes
 LONGEST_LINE = 1000
+STATED_SHARE = 0.2  # of the cases: sound files, changed in what they state
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,8 +37,13 @@ class Outcome:
 
 
 def run_case(specimens: list[tuple[str, Path]], seed: int, index: int, scratch: Path) -> Outcome:
-    """Mutate a specimen and read it. The same seed and index always give the same bytes."""
+    """Mutate a specimen, or change what a sound file states, and read it.
+
+    The same seed and index always give the same bytes.
+    """
     rng = np.random.default_rng([seed, index])
+    if rng.random() < STATED_SHARE:
+        return _run_stated_case(rng, index, scratch)
     kind, source = specimens[int(rng.integers(len(specimens)))]
     path = copy_of(source, scratch / "case")
     what = f"{kind} {source.name}: {_spoil(path, specimens, rng)}"
@@ -63,6 +70,30 @@ def run_case(specimens: list[tuple[str, Path]], seed: int, index: int, scratch: 
         seconds=seconds,
         memory_mb=memory,
         message=message,
+    )
+
+
+def _run_stated_case(rng: np.random.Generator, index: int, scratch: Path) -> Outcome:
+    """Write a sound file that states what files of its kind may, and hold what is read against it."""
+    folder = scratch / "case"
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    kind = list(CHANGES)[int(rng.integers(len(CHANGES)))]
+    with _native_output(scratch / "native.txt"):  # of FFmpeg's encoders
+        change = CHANGES[kind](folder, rng)
+    started = time.perf_counter()
+    with _native_output(scratch / "native.txt") as native:
+        try:
+            fault = fault_of(change)
+        except Exception:
+            fault = traceback.format_exc()
+    return Outcome(
+        index=index,
+        what=f"stated {kind}",
+        refused=bool(change.refused),
+        fault=fault or (f"printed {native[0][:300]!r}" if native[0] else ""),
+        seconds=time.perf_counter() - started,
+        memory_mb=0.0,
     )
 
 

@@ -11,6 +11,7 @@ from typing import Any
 import cv2
 import numpy as np
 import tifffile
+from PIL import Image
 from specimen_texts import write_motion, write_texts
 
 from tests.result_files import write_mesh_sequence
@@ -142,6 +143,11 @@ def _write_captures(folder: Path, rng: np.random.Generator) -> list[Path]:
     tifffile.imwrite(folder / "float.tif", eight.astype(np.float32) / 255, photometric="rgb")
     for suffix in ("jpg", "bmp"):
         assert cv2.imwrite(str(folder / f"a.{suffix}"), eight)
+    tifffile.imwrite(folder / "big.tif", eight, photometric="rgb", bigtiff=True)
+    exif = Image.Exif()
+    exif[274] = 6  # to be turned
+    Image.fromarray(eight).save(folder / "turned.jpg", exif=exif, progressive=True)
+    Image.fromarray(eight).save(folder / "turned.png", exif=exif)
     planes = {name: np.ascontiguousarray(eight[..., i] / np.float32(255)) for i, name in enumerate("RGB")}
     for compression in ExrCompression:
         write_exr(folder / f"{compression.value}.exr", planes, compression=compression)

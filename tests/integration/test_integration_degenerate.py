@@ -69,3 +69,33 @@ def test_anchoring_a_thousand_parts_takes_no_image_for_each() -> None:
     tracemalloc.stop()
     assert np.allclose(found.depth, reference.depth)
     assert peak < 20 * depth.nbytes
+
+
+@pytest.mark.parametrize("perspective", [False, True], ids=["orthographic", "perspective"])
+@pytest.mark.parametrize("spoilt", [[1, 1, -1], [0, 0, 0]], ids=["behind", "no length"])
+@pytest.mark.parametrize("integrator", [None, Integrator.POISSON, Integrator.DISCONTINUITY])
+def test_normals_that_no_camera_sees_are_left_out_and_said(integrator, spoilt, perspective, caplog) -> None:
+    """Depth around them is that of the map whose mask leaves them out."""
+    normals, seen = np.array(peaks(SIZE)[1]), EVERYWHERE.copy()
+    seen[20:24, 10:30] = False
+    without = NormalMap(normals_in_camera=normals, mask=seen)
+    normals[20:24, 10:30] *= np.float32(spoilt)
+    camera = Camera.orthographic(width=SIZE, height=SIZE)
+    if perspective:
+        camera = Camera.pinhole(width=SIZE, height=SIZE, focal_px=4.0 * SIZE)
+    options = IntegrationOptions(integrator=integrator)
+    expected = DepthIntegrator(camera, options).integrate(without)
+    assert not caplog.records
+    found = DepthIntegrator(camera, options).integrate(NormalMap(normals_in_camera=normals, mask=EVERYWHERE))
+    assert (found.mask == seen).all()
+    np.testing.assert_allclose(found.depth[seen], expected.depth[seen], atol=1e-9)  # sums of threads
+    assert "80 of 2304 normals turn away from the camera or have no length" in caplog.text
+
+
+def test_a_wide_lens_sees_normals_that_point_along_its_axis() -> None:
+    """At 45 degrees from the axis a wall that runs away from the viewer is visible, though n_z is above 0."""
+    camera = Camera.pinhole(width=SIZE, height=SIZE, focal_px=0.5 * SIZE)
+    wall = np.tile(np.float32([-0.9994, 0.0, 0.0349]), (SIZE, SIZE, 1))
+    behind = DepthIntegrator(camera)._unseen(wall)
+    assert not behind[:, 30:].any()
+    assert behind[:, :24].all()

@@ -1,3 +1,5 @@
+import re
+
 import numpy as np
 import pytest
 
@@ -43,6 +45,12 @@ def test_attached_shadow_removes_one_light_and_its_crosstalk(response: LightResp
         COLOURS[1] * (normal @ DIRECTIONS[1]) + COLOURS[2] * (normal @ DIRECTIONS[2]) + response.ambient
     )
     np.testing.assert_allclose(shaded_rgb_from_normals(normal, response), expected)
+
+
+@pytest.mark.parametrize("scale", [1e-30, 1e30])
+def test_a_response_that_no_sensor_has_is_refused(scale: float) -> None:
+    with pytest.raises(BadRig, match=re.escape(f"M is {scale:.0e}: expected about 1")):
+        LightResponse(matrix=scale * np.eye(3))
 
 
 def test_a_singular_response_is_refused() -> None:

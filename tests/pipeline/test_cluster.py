@@ -3,18 +3,24 @@
 import hashlib
 import os
 import signal
+import socket
+import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from tests.pipeline.conftest import DomeCapture, write_dome_capture
-from vntoolkit.errors import BadCapture, BadInput, MissingDependency
+from tests.pipeline.test_reconstruct import footage_with_specks
+from vntoolkit.errors import BadInput, BadMesh, MissingDependency, VntError
 from vntoolkit.io.footage.frame_range import FrameRange
-from vntoolkit.io.footage.images import write_png
 from vntoolkit.io.results.frame_log import FrameEntry, FrameLog
 from vntoolkit.options.normals import ShadowMethod
 from vntoolkit.options.reconstruction import Product, ReconstructOptions
+from vntoolkit.pipeline import cluster
 from vntoolkit.pipeline.cluster import connected
 from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.reconstruct import reconstruct
@@ -74,6 +80,75 @@ def test_a_worker_that_dies_costs_nothing_but_time(tmp_path: Path) -> None:
     assert sorted(FrameLog(many).done()) == list(range(96))
 
 
+@pytest.fixture
+def small_cluster(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[str, list[subprocess.Popen[bytes]]]]:
+    """The address of a scheduler of its own, its process, and those of two workers without nannies."""
+    pytest.importorskip("distributed")
+    for name, seconds in (
+        ("_SECONDS_TO_CONNECT", 5),
+        ("_SECONDS_BETWEEN_LOOKS", 1),
+        ("_SECONDS_OF_SILENCE", 6),
+    ):
+        monkeypatch.setattr(cluster, name, seconds)
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    address = f"tcp://127.0.0.1:{port}"
+
+    def start(kind: str, *words: str) -> subprocess.Popen[bytes]:
+        command = [sys.executable, "-m", f"distributed.cli.dask_{kind}", *words, "--no-dashboard"]
+        return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+
+    processes = [start("scheduler", "--port", str(port), "--host", "127.0.0.1")]
+    processes += [start("worker", address, "--no-nanny", "--nthreads", "1") for _ in range(2)]
+    try:
+        distributed = pytest.importorskip("distributed")
+        with distributed.Client(address, timeout=60) as client:
+            client.wait_for_workers(2, timeout=60)
+        yield address, processes
+    finally:
+        for process in processes:
+            process.send_signal(signal.SIGCONT)
+            process.kill()
+            process.wait()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("struck", "how", "line"),
+    [
+        ((0,), signal.SIGKILL, "the Dask scheduler"),
+        ((0,), signal.SIGSTOP, "the Dask scheduler does not answer any more"),
+        ((1, 2), signal.SIGKILL, "no worker of the Dask scheduler|workers, and what they held"),
+        ((1, 2), signal.SIGSTOP, "no worker of the Dask scheduler is at work any more"),
+        ((1,), signal.SIGSTOP, ""),
+    ],
+    ids=["scheduler killed", "scheduler stopped", "workers killed", "workers stopped", "one worker stopped"],
+)
+def test_what_happens_to_a_cluster_is_one_line_or_nothing(
+    tmp_path: Path, small_cluster: tuple[str, list[subprocess.Popen[bytes]]], struck, how, line
+) -> None:
+    """The run ends by one line, or goes on with the worker that is left; given again, it is completed."""
+    address, processes = small_cluster
+    (tmp_path / "footage").mkdir()
+    capture = write_dome_capture(tmp_path / "footage", count=64)
+    job, pending = job_of(capture, tmp_path / "out"), list(struck)
+
+    def strike(_entry: FrameEntry) -> None:
+        while pending:
+            processes[pending.pop()].send_signal(how)
+
+    expected = (
+        pytest.raises(VntError, match=f"({line}).*run the same command again") if line else nullcontext()
+    )
+    with expected:
+        reconstruct(job, scheduler=address, on_frame=strike)
+    done = len(FrameLog(tmp_path / "out").done())
+    assert done == 64 if not line else 0 < done < 64
+    assert reconstruct(job).resumed == done
+    assert len(FrameLog(tmp_path / "out").done()) == 64
+
+
 @pytest.mark.slow
 def test_a_run_on_a_cluster_goes_on_where_another_stopped(dome_capture: DomeCapture, tmp_path: Path) -> None:
     pytest.importorskip("distributed")
@@ -86,15 +161,12 @@ def test_a_run_on_a_cluster_goes_on_where_another_stopped(dome_capture: DomeCapt
 
 
 @pytest.mark.slow
-def test_a_frame_that_fails_on_a_worker_is_named_here(tmp_path: Path) -> None:
+def test_a_frame_that_fails_on_a_worker_is_named_here(dome_capture: DomeCapture, tmp_path: Path) -> None:
     pytest.importorskip("distributed")
-    import numpy as np
-
-    (tmp_path / "footage").mkdir()
-    capture = write_dome_capture(tmp_path / "footage", count=4)
-    write_png(tmp_path / "footage" / "f2.png", np.zeros((48, 64, 3), np.uint16))
-    with pytest.raises(BadCapture, match=r"f2\.png: no usable pixel"):
-        reconstruct(job_of(capture, tmp_path / "out"), scheduler="local", jobs=1)
+    job = job_of(footage_with_specks(dome_capture, tmp_path), tmp_path / "out")
+    job = replace(job, options=replace(job.options, to=Product.MESH))
+    with pytest.raises(BadMesh, match="no three neighbouring"):
+        reconstruct(job, scheduler="local", jobs=1)
 
 
 @pytest.mark.slow

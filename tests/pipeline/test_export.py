@@ -10,6 +10,7 @@ import pytest
 from pxr import Usd, UsdGeom, UsdValidation
 
 from tests.dome_result import DomeResult, dome_result
+from tests.skinning.test_glb_export import accessor, chunks
 from vntoolkit.errors import BadInput
 from vntoolkit.evaluation.angular_error import angles_between_deg
 from vntoolkit.evaluation.mesh_comparison import mesh_distance
@@ -33,7 +34,9 @@ from vntoolkit.options.export import (
     MeshUpAxis,
     NormalConvention,
 )
+from vntoolkit.options.tracking import TrackingOptions
 from vntoolkit.pipeline.export import ExportJob, export
+from vntoolkit.pipeline.track import TrackJob, track
 
 __all__ = ["dome_result"]
 FRAMES = FrameRange.from_text("0:3")
@@ -53,6 +56,36 @@ def points_of(path: Path, time: float) -> np.ndarray:
     stage = Usd.Stage.Open(str(path))  # a prim dies with its stage
     mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/World/Surface"))
     return np.array(mesh.GetPointsAttr().Get(time))
+
+
+def test_every_frame_is_played_at_the_time_it_was_filmed(dome_result: DomeResult, tmp_path: Path) -> None:
+    """Of six frames at uneven times, number 3 was skipped, and every second one can be asked for."""
+    times = np.array([0.0, 0.033, 0.066, 0.15, 0.4, 1.0])
+    folder = tmp_path / "out"
+    shutil.copytree(dome_result.folder, folder)
+    shutil.rmtree(folder / "track")
+    content = json.loads((folder / "reconstruction.json").read_text())
+    content["input"] |= {"times_s": times.tolist(), "frame_rate_hz": 25.0}
+    (folder / "reconstruction.json").write_text(json.dumps(content))
+    track(TrackJob(folder=folder, options=TrackingOptions()))
+    np.testing.assert_allclose(read_mesh_sequence(folder / "track").instants_s, times)
+    for frames, kept in ((None, [0, 1, 2, 4, 5]), (FrameRange(step=2), [0, 2, 4])):
+        filmed = times[kept] - times[kept[0]]
+        made = {}
+        for to, mesh in (("glb", "tracked"), ("usd", "tracked"), ("usd", "frames")):
+            options = ExportOptions(to=to, mesh=mesh, scale=0.01)
+            out = tmp_path / f"{len(kept)}_{mesh}.{to}"
+            made[to, mesh] = export(ExportJob(folder=folder, options=options, out=out, frames=frames)).out
+        document, binary = chunks(made["glb", "tracked"])
+        sampler = document["animations"][0]["samplers"][0]
+        shown = accessor(document, binary, sampler["input"]).ravel()
+        np.testing.assert_allclose(shown, filmed, atol=1e-6)
+        for mesh in ("tracked", "frames"):
+            stage = Usd.Stage.Open(str(made["usd", mesh]))
+            points = stage.GetPrimAtPath("/World/Surface").GetAttribute("points")
+            rate = stage.GetTimeCodesPerSecond()
+            np.testing.assert_allclose(np.array(points.GetTimeSamples()) / rate, filmed, atol=1e-6)
+            assert stage.GetEndTimeCode() == pytest.approx(filmed[-1] * rate)
 
 
 @pytest.mark.parametrize("up", MeshUpAxis)

@@ -8,10 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.pipeline.conftest import DomeCapture, write_dome_capture
-from vntoolkit.errors import BadCapture, BadInput, BadRig
+from tests.pipeline.conftest import DomeCapture
+from vntoolkit.errors import BadInput, BadMesh, BadRig
 from vntoolkit.evaluation.angular_error import angles_between_deg
 from vntoolkit.geometry.camera import Camera
+from vntoolkit.io.footage.captures import open_capture
 from vntoolkit.io.footage.decoding import EncodedFrame
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.footage.images import write_png
@@ -181,32 +182,35 @@ def test_a_mask_is_obeyed(dome_capture: DomeCapture, tmp_path: Path) -> None:
     assert np.array_equal(read_normal_map(tmp_path / "out/normals/000000.exr").mask, mask)
 
 
-@pytest.fixture
-def capture_with_black_frame(tmp_path: Path) -> DomeCapture:
+def footage_with_specks(capture: DomeCapture, tmp_path: Path) -> DomeCapture:
+    """Return four frames of a capture; of the third only single pixels are left, which make no mesh."""
     folder = tmp_path / "footage"
     folder.mkdir()
-    capture = write_dome_capture(folder, count=4)
-    write_png(folder / "f2.png", np.zeros((48, 64, 3), np.uint16))
-    return capture
+    for number in range(4):
+        picture = open_capture(Path(capture.source) / f"f{number}.png").encoded(0).values.copy()
+        if number == 2:
+            v, u = np.indices(picture.shape[:2])
+            picture[(v % 3 > 0) | (u % 3 > 0)] = 0
+        write_png(folder / f"f{number}.png", picture)
+    return replace(capture, source=str(folder))
 
 
-def test_a_failing_frame_stops_the_run_with_its_name(
-    capture_with_black_frame: DomeCapture, tmp_path: Path
-) -> None:
-    with pytest.raises(BadCapture, match=r"f2\.png: no usable pixel"):
-        reconstruct(job_of(capture_with_black_frame, tmp_path / "out"))
+def test_a_failing_frame_stops_the_run_with_its_name(dome_capture: DomeCapture, tmp_path: Path) -> None:
+    specks = footage_with_specks(dome_capture, tmp_path)
+    with pytest.raises(BadMesh, match="no three neighbouring"):
+        reconstruct(job_of(specks, tmp_path / "out"))
 
 
-def test_or_it_is_skipped_and_named(capture_with_black_frame: DomeCapture, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    summary = reconstruct(job_of(capture_with_black_frame, out, on_error=OnError.SKIP))
+def test_or_it_is_skipped_and_named(dome_capture: DomeCapture, tmp_path: Path) -> None:
+    out, specks = tmp_path / "out", footage_with_specks(dome_capture, tmp_path)
+    summary = reconstruct(job_of(specks, out, on_error=OnError.SKIP))
     assert [record.number for record in summary.skipped] == [2]
     assert summary.done == 3
     assert not (out / "normals/000002.exr").exists()
     entries = FrameLog(out).entries()
-    assert "no usable pixel" in entries[2].failure
+    assert "no three neighbouring" in entries[2].failure
     assert [finding.frame for finding in read_manifest(out).findings] == [2]
-    assert entries[3].valid_share == pytest.approx(capture_with_black_frame.masks[3].mean(), abs=1e-5)
+    assert entries[3].valid_share == pytest.approx(dome_capture.masks[3].mean(), abs=1e-5)
 
 
 def test_the_run_tells_the_expected_error_and_warns_where_it_is_large(
@@ -216,7 +220,7 @@ def test_the_run_tells_the_expected_error_and_warns_where_it_is_large(
     assert not caplog.records
     maps = [read_normal_map(tmp_path / f"good/normals/{n:06d}.exr") for n in range(3)]
     medians = [np.median(m.error_deg[::4, ::4][m.mask[::4, ::4]]) for m in maps]
-    assert summary.error_deg == pytest.approx(np.median(medians), abs=0.05)  # EXR holds half floats
+    assert summary.error_deg == pytest.approx(max(medians), abs=0.05)  # EXR holds half floats
     assert read_manifest(tmp_path / "good").error_deg == summary.error_deg
     dull = FitQuality(method="sphere", residual_deg=19.0, condition_number=2.0, samples=100, cone_deg=60.0)
     rig = replace(dome_capture.rig, quality=dull)

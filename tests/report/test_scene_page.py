@@ -1,6 +1,7 @@
 """The offline page: it opens in a browser without a request or a complaint, and what it shows is there."""
 
 import base64
+import hashlib
 import json
 import re
 import shutil
@@ -122,10 +123,34 @@ def altered(page: Path, out: Path, data: dict[str, Any], **more: str) -> Path:
     text = re.sub(
         r'(?<=id="setup">).*?(?=</script>)', lambda _: json.dumps(data), page.read_text(), flags=re.S
     )
+    before = _digest_of_script(text)
     for old, new in more.items():
         text = text.replace(old, new)
-    out.write_text(text)
+    out.write_text(text.replace(before, _digest_of_script(text)))
     return out
+
+
+def _digest_of_script(text: str) -> str:
+    """Return the SHA-256 by which the page's policy lets its script run."""
+    script = text[text.rindex("<script>") + len("<script>") : text.rindex("</script>")]
+    return base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+
+
+def test_the_saved_page_runs_its_own_script_alone_and_fetches_nothing(page: Path) -> None:
+    policy = re.search(r'http-equiv="Content-Security-Policy" content="([^"]*)"', page.read_text())[1]
+    assert "default-src &#39;none&#39;" in policy
+    assert f"script-src &#39;sha256-{_digest_of_script(page.read_text())}&#39;" in policy
+    assert "unsafe" not in policy
+
+
+@pytest.mark.slow
+def test_a_foreign_script_in_a_saved_page_does_not_run(page: Path, tmp_path: Path) -> None:
+    spoilt = page.read_text().replace("</header>", "<script>document.title = 'taken'</script></header>", 1)
+    (tmp_path / "spoilt.html").write_text(spoilt)
+    with visit(tmp_path / "spoilt.html") as seen:
+        seen.page.wait_for_selector("body[data-shown='0']")
+        assert seen.page.title() != "taken"
+        assert any("Content Security Policy" in complaint for complaint in seen.complaints)
 
 
 @pytest.mark.slow

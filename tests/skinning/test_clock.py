@@ -52,6 +52,17 @@ def test_vertices_between_frames_are_linear_in_time() -> None:
     np.testing.assert_allclose(x, times, atol=1e-12)
 
 
+def test_cloth_of_uneven_times_is_worn_at_the_times_it_was_filmed() -> None:
+    filmed = np.array([0.0, 0.033, 0.233, 0.3])
+    vertices = np.repeat(filmed[:, None, None], 3, axis=1) * [1.0, 0.0, 0.0]
+    template = Mesh(vertices=np.zeros((3, 3)), faces=np.array([[0, 1, 2]]))
+    uneven = MeshSequence(template=template, vertices=vertices, frame_rate_hz=30.0, times_s=filmed + 7)
+    clock = clock_from_recordings(uneven, walking_motion(), ClockOptions())
+    assert len(clock) == 10
+    x = [vertices[0, 0] for vertices in resampled_vertices(uneven, clock.cloth_s)]
+    np.testing.assert_allclose(x, np.arange(10) / 30, atol=1e-9)
+
+
 def test_trim_and_speed() -> None:
     motion = walking_motion()
     clock = clock_from_recordings(

@@ -5,11 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from vntoolkit.calibration.varying import VariationOptions, fit_varying_response
 from vntoolkit.errors import BadCalibration, BadInput
 from vntoolkit.options.calibration import LabelOffset, PressOptions
 from vntoolkit.photometry.fit_quality import angles_deg
-from vntoolkit.photometry.response import LightResponse, rgb_from_normals
 from vntoolkit.tactile.circles import Press, find_contact_circle
 from vntoolkit.tactile.fit import fit_gel_to_presses, fit_label_offset
 from vntoolkit.tactile.presses import PressSamples, normals_of_press, samples_from_press
@@ -138,30 +136,6 @@ def test_the_dent_bulges_towards_the_camera() -> None:
     assert normals[70, 45, 1] == pytest.approx(1.0 / 2.4)
     np.testing.assert_allclose(np.linalg.norm(normals[inside], axis=1), 1)
     assert (normals[inside][:, 2] < 0).all()
-
-
-def test_a_pair_without_light_does_not_stop_the_fit(rng) -> None:
-    normals = np.column_stack([rng.normal(0, 0.3, (400, 2)), -np.ones(400)])
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    rgb = normals @ MATRIX.T
-    rgb[7] = 0.0  # no direction, whatever M
-    one, start = VariationOptions(degree=0), LightResponse(matrix=1.2 * MATRIX + 0.05)
-    anywhere = rng.uniform(0, 80, (400, 2))
-    fitted = fit_varying_response(normals, rgb, anywhere, SIZE, start, one, fit_ambient=False)
-    np.testing.assert_allclose(fitted.matrix, MATRIX, atol=1e-6)
-    rgb[7] = np.nan
-    with pytest.raises(BadInput, match="colours: 3 of 1200 values are NaN"):
-        fit_varying_response(normals, rgb, anywhere, SIZE, start, one)
-
-
-def test_one_place_does_not_tell_how_the_light_varies(rng) -> None:
-    normals = np.column_stack([rng.normal(0, 0.3, (400, 2)), -np.ones(400)])
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    start = LightResponse(matrix=MATRIX)
-    rgb = rgb_from_normals(normals, start)
-    here = np.array([40.0, 40.0]) + rng.uniform(-1, 1, (400, 2))
-    with pytest.raises(BadCalibration, match="too few places"):
-        fit_varying_response(normals, rgb, here, SIZE, start)
 
 
 def test_refusals(rng) -> None:

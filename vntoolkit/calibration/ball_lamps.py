@@ -26,7 +26,7 @@ _LIT_SHARE = 0.08  # of the brightest: less may be beyond the edge of the lamp's
 _BEHIND = 0.05  # cosine beyond that edge from which blur and a wrong direction no longer reach a pixel
 _FEWEST_DARK = 50  # pixels that tell the light of the room
 _MOST_PIXELS = 20_000  # that tell a lamp
-_ROUNDS = 5  # of a robust fit: as many until its scale is settled
+_ROUNDS = 5  # of a robust fit: by then its scale has converged
 # Closeness. A lamp three radii away would stand in the picture; of one a hundred away, gloss and an outline
 # that is half a pixel off tell as much.
 _NEAREST, _FARTHEST = 0.3, 0.01

@@ -22,7 +22,7 @@ from vntoolkit.calibration.fit import (
     fit_response,
 )
 from vntoolkit.calibration.lights import line_colour, three_lamps
-from vntoolkit.calibration.varying import VariationOptions, fit_varying_response
+from vntoolkit.calibration.varying import fit_varying_response
 from vntoolkit.errors import BadCalibration
 from vntoolkit.geometry.board_layout import NORMAL_IN_BOARD, BoardLayout
 from vntoolkit.geometry.camera import Camera, CameraModel
@@ -167,9 +167,8 @@ def _varying(
         rgb[lit],
         positions_px,
         size,
-        fit.response,
-        VariationOptions(degree=options.degree),
-        fit_ambient=options.fit.model is ResponseModel.AMBIENT,
+        options.degree,
+        options.fit,
     )
     quality = fit_quality(normals[lit], rgb[lit], response, fit.quality.method, positions_px)
     return ResponseFit(response=response, quality=quality, inliers=lit, normals=normals, rgb=rgb)

@@ -85,9 +85,9 @@ def _refine(
 ) -> tuple[Points2, Mask]:
     """Refine the corners (n, 2) in a window that no marker reaches into (OpenCV's may); tell which agree."""
     predicted: Any = cv2.perspectiveTransform(corners_mm[None], homography)[0]
-    departure = np.linalg.norm(predicted - corners, axis=1)
-    tolerance = max(_SMALLEST_TOLERANCE_PX, _TOLERANCE_MEDIANS * float(np.median(departure)))
-    start = np.where(departure[:, None] > tolerance, predicted, corners)
+    residual = np.linalg.norm(predicted - corners, axis=1)
+    tolerance = max(_SMALLEST_TOLERANCE_PX, _TOLERANCE_MEDIANS * float(np.median(residual)))
+    start = np.where(residual[:, None] > tolerance, predicted, corners)
     start = np.clip(start, 0, np.array(grey.shape[::-1]) - 1).astype(np.float32)  # OpenCV takes no others
     gap_px = 0.5 * (layout.square_mm - layout.marker_mm) * _pixels_per_mm(homography, layout)
     window = max(2, int(_WINDOW_SHARE * gap_px))

@@ -18,9 +18,9 @@ from vntoolkit.photometry.response import LightResponse, scaled_normals_from_rgb
 from vntoolkit.photometry.rig import FitQuality
 
 _FIRST_SHADOW_SHARE = 0.15  # of a channel's 99th percentile: what surely is lit before anything is known
-_ROUNDING = 1e-9  # of the largest colour: residuals below it are arithmetic, not evidence
+_ROUNDING = 1e-9  # of the largest colour: residuals below it are arithmetic
 _FLATTEST_DESIGN = 5e-3  # smallest over largest singular value of the normals that still determine M
-_SMALLEST_DETERMINANT = 0.02  # of three unit normals (or of four with ambient): below it noise decides
+_SMALLEST_DETERMINANT = 0.02  # of three unit normals: below it noise decides
 _LARGEST_CONDITION = 1e3  # of a sampled M: no such rig is usable
 _SCORED_PAIRS = 4000  # a cost over more pairs ranks the samples no better
 _DRAWS = 2000  # minimal samples of MSAC
@@ -107,11 +107,13 @@ def _require_light(colours: FloatArray, usable: Mask) -> None:
 class Design:
     """The linear system rows @ unknowns = colours.
 
-    rows: (n, 3) normals or (n, 4) normals and a constant. colours: (n, 3).
+    rows: (n, k), k = 3: normals, k = 4: normals and a constant. colours: (n, 3). flattest: smallest over
+    largest singular value of the rows that still determine the unknowns.
     """
 
     rows: Points
     colours: Points
+    flattest: float = _FLATTEST_DESIGN
 
     @classmethod
     def from_pairs(cls, normals: Points, colours: Points, *, with_ambient: bool) -> Self:
@@ -121,11 +123,11 @@ class Design:
 
     @property
     def unknown_count(self) -> int:
-        """3, or 4 with ambient."""
+        """k, of each channel."""
         return int(self.rows.shape[1])
 
     def solve(self, chosen: Mask) -> FloatArray:
-        """Least squares over the chosen pairs, (3 or 4, 3); refuses where they do not determine it."""
+        """Least squares over the chosen pairs, (k, 3); refuses where they do not determine it."""
         count = int(np.count_nonzero(chosen))
         if count < self.unknown_count:
             raise BadCalibration(
@@ -133,7 +135,7 @@ class Design:
                 f"at least {self.unknown_count} are needed, hundreds are better"
             )
         unknowns, _, _, singular = np.linalg.lstsq(self.rows[chosen], self.colours[chosen], rcond=None)
-        if not singular[-1] > _FLATTEST_DESIGN * singular[0]:
+        if not singular[-1] > self.flattest * singular[0]:
             raise BadCalibration(
                 "calibration: the normals seen do not determine the light response (they lie in one plane or "
                 "in too narrow a cone); show the target from more directions"
@@ -169,10 +171,10 @@ def fit_by_trimming(
             raise BadCalibration("calibration: no pixel is lit by all three lights; move the lights closer")
         scale = 1.4826 * float(np.median(residuals[lit]))
         update = lit & (residuals <= max(outlier_sigmas * scale, floor))
-        settled = np.array_equal(update, chosen)
+        converged = np.array_equal(update, chosen)
         chosen = update
         unknowns = design.solve(chosen)
-        if settled:
+        if converged:
             break
     return unknowns, chosen
 
@@ -212,7 +214,8 @@ def fit_by_msac(
 def _models_from_samples(design: Design, samples: IntArray) -> FloatArray:
     """Solve all minimal samples (k, s) at once; returns the sound ones, (m, s, 3)."""
     rows = design.rows[samples]
-    sound = np.abs(np.linalg.det(rows)) > _SMALLEST_DETERMINANT
+    lengths = np.linalg.norm(rows, axis=2).prod(axis=1)
+    sound = np.abs(np.linalg.det(rows)) > _SMALLEST_DETERMINANT * lengths
     models = np.linalg.solve(rows[sound], design.colours[samples[sound]])
     singular = np.linalg.svd(models[:, :3], compute_uv=False)
     return models[singular[:, 2] * _LARGEST_CONDITION > singular[:, 0]]

@@ -33,7 +33,7 @@ class SphereCalibration:
     """fit: M and its quality. outline: the circle in the image. normal_map: the ball's normals from geometry.
 
     residual_deg: (h, w) float32, angle between the ball's normals and those that M gives back; NaN off the
-    ball and where a pixel was left out. lit: what each lamp alone told; None where none was.
+    ball and where a pixel was left out. lit: the fit of each lamp alone; None where none was.
     """
 
     fit: ResponseFit
@@ -70,7 +70,7 @@ def fit_response_to_switched_sphere(
 ) -> SphereCalibration:
     """Fit M to a ball that the red, the green and the blue lamp light alone; alone: three images.
 
-    Each lamp's distance and the light of the room are told apart from M (`fit_lamps_to_ball`): M is that
+    Each lamp's distance and the light of the room are separated from M (`fit_lamps_to_ball`): M is that
     of the place where the ball's centre is, and changes over the picture where the lamps are near. An
     orthographic camera leaves the latter out: a ball seen in perspective and taken for one seen from afar
     makes lamps seem far, and footage tells it better. dark: the ball under no lamp, None for none. Else as

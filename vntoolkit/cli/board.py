@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from vntoolkit.cli.output import print_next
+from vntoolkit.cli.output import print_next, say
 from vntoolkit.cli.verb import command, verb
 from vntoolkit.geometry.board_layout import BoardLayout
 from vntoolkit.io.board_pdf import write_board_pdf
@@ -34,7 +34,7 @@ def board(asked: BoardArguments) -> None:
     """Draw the board and print what comes next."""
     out = Path(asked.out)
     write_board_pdf(out, asked.part(BoardLayout), asked.page)
-    print(
+    say(
         f"{out}: {asked.columns} × {asked.rows} squares of {asked.square_mm:g} mm on {asked.page.name}; "
         "print at 100 % and measure the scale bar"
     )

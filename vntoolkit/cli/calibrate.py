@@ -13,9 +13,8 @@ from vntoolkit.calibration.board import BoardCalibration
 from vntoolkit.calibration.fit import ResponseFit
 from vntoolkit.calibration.sphere import SphereCalibration
 from vntoolkit.cli.given import curve_from_text, rectification_from_corners, rig_with_corners
-from vntoolkit.cli.output import JSON, MESH, PAGE, PICTURE, ProgressBars, print_next, require_output
+from vntoolkit.cli.output import JSON, MESH, PAGE, PICTURE, ProgressBars, print_next, require_output, say
 from vntoolkit.cli.verb import command, verb
-from vntoolkit.diagnosis.checks import CHECK_NAMES
 from vntoolkit.diagnosis.finding import judge, require_known_checks
 from vntoolkit.diagnosis.rig_checks import check_lamps, check_residual
 from vntoolkit.diagnosis.transfer_match import check_transfer_of_samples
@@ -26,6 +25,7 @@ from vntoolkit.io.footage.captures import Capture, CaptureOptions, open_capture
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.maps_and_meshes.meshes import write_mesh
 from vntoolkit.io.rigs import read_rig, write_rig
+from vntoolkit.native import require_installed
 from vntoolkit.options.base import File, Named, OptionalFile, Source, as_path, named
 from vntoolkit.options.calibration import (
     BoardOptions,
@@ -86,7 +86,7 @@ class FootageArguments(
 
     def job(self, source: str, **more: Any) -> CalibrationJob:
         """Return the calibration of this footage; more: further fields of it."""
-        require_known_checks(self.allow, CHECK_NAMES)
+        require_known_checks(self.allow)
         require_output(Path(self.out), JSON)
         return CalibrationJob(
             source=source,
@@ -140,11 +140,11 @@ def sphere(asked: SphereArguments) -> None:
 def _report_lamps(lit: LitBall, is_perspective: bool) -> None:
     """Print how far the lamps are from the ball, and the light of the room."""
     away = [f"{1.0 / lamp.closeness:.0f}" if lamp.closeness else "over 100" for lamp in lit.lamps]
-    print(f"  lamps' distance   {', '.join(away)} radii of the ball (red, green, blue)")
+    say(f"  lamps' distance   {', '.join(away)} radii of the ball (red, green, blue)")
     if not is_perspective:
-        print("                    (or nearer: --camera or --focal-px tells, and lets M change with it)")
+        say("                    (or nearer: --camera or --focal-px tells, and lets M change with it)")
     room = ", ".join(f"{100.0 * share:.1f}" for share in lit.room)
-    print(f"  light of the room {f'{room} % of full scale' if lit.is_room_known else 'not told'}")
+    say(f"  light of the room {f'{room} % of full scale' if lit.is_room_known else 'not told'}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -237,31 +237,29 @@ def _keep(out: Path, rig: Rig, job: CalibrationJob, fit: ResponseFit | None = No
 
 def report_rig(out: Path, rig: Rig, seen: str) -> None:
     """Print what was fitted, its residual and its condition number."""
-    print(f"{out}: {seen}")
+    say(f"{out}: {seen}")
     quality = rig.quality
     if quality is not None and quality.samples:
-        print(
-            f"  residual          {quality.residual_deg:.2f} degrees, median over {quality.samples} samples"
-        )
-        print(f"  cone of normals   {quality.cone_deg:.0f} degrees about their mean")
-    print(f"  transfer curve    {rig.transfer.to_text()}")
+        say(f"  residual          {quality.residual_deg:.2f} degrees, median over {quality.samples} samples")
+        say(f"  cone of normals   {quality.cone_deg:.0f} degrees about their mean")
+    say(f"  transfer curve    {rig.transfer.to_text()}")
     if rig.material:
-        print(f"  material          {rig.material}")
+        say(f"  material          {rig.material}")
         if rig.response.light_colours is None:
-            print("                    (others need the lamps' colours: each lamp alone for a while, or")
-            print("                    --single-light, with calibrate sphere or board)")
-    print(f"  condition number  {rig.response.condition_number:.1f} (1 is best, below 10 is good)")
+            say("                    (others need the lamps' colours: each lamp alone for a while, or")
+            say("                    --single-light, with calibrate sphere or board)")
+    say(f"  condition number  {rig.response.condition_number:.1f} (1 is best, below 10 is good)")
     if rig.response.variation is not None:
-        print("  M varies over the image; the condition number is that of the centre")
+        say("  M varies over the image; the condition number is that of the centre")
         if rig.response.light_colours is None:
             return
     tilts = np.rad2deg(np.arccos(np.clip(-rig.response.light_directions[:, 2], -1, 1)))
     tilts_text = f"{', '.join(f'{tilt:.0f}' for tilt in tilts)} degrees from the optical axis"
     if rig.response.light_colours is not None:
-        print(f"  lights            {tilts_text}")
+        say(f"  lights            {tilts_text}")
     else:
-        print(f"  rows of M         {tilts_text} (red, green, blue channel;")
-        print("                    the lights lie further out where a channel sees several of them)")
+        say(f"  rows of M         {tilts_text} (red, green, blue channel;")
+        say("                    the lights lie further out where a channel sees several of them)")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -286,6 +284,7 @@ class HeadArguments(
 
 
 def _head(asked: HeadArguments) -> tuple[Rig, HeadCalibration]:
+    require_installed("pycolmap", "pycolmap", "calibrate head adjusts poses by pycolmap")
     job = asked.job(str(asked.source))
     for path, suffixes in ((asked.mesh, MESH), (asked.figure, PICTURE), (asked.report, PAGE)):
         require_output(path, suffixes)
@@ -325,14 +324,14 @@ def head(asked: HeadArguments) -> None:
     )
     report_rig(Path(asked.out), rig, seen)
     if asked.camera is None and asked.focal_px is None:
-        print(f"  focal length      {motion.camera.matrix[0, 0]:.0f} px, estimated from the turn: rough")
-    print(f"  samples agreeing  {result.light.inliers.mean():.0%}")
+        say(f"  focal length      {motion.camera.matrix[0, 0]:.0f} px, estimated from the turn: rough")
+    say(f"  samples agreeing  {result.light.inliers.mean():.0%}")
     if result.refined is not None:
         changes = ", ".join(f"{100 * change:.1f} %" for change in result.refined.changes)
-        print(f"  refined           M moved by {changes}")
+        say(f"  refined           M moved by {changes}")
         error = np.median(result.refined.error_percent)
-        print(f"  shape             {error:.2f} % of its diagonal expected error, median")
-    print("  time              " + ", ".join(f"{k} {s:.0f} s" for k, s in result.stage_seconds.items()))
+        say(f"  shape             {error:.2f} % of its diagonal expected error, median")
+    say("  time              " + ", ".join(f"{k} {s:.0f} s" for k, s in result.stage_seconds.items()))
     _print_what_is_next(asked.out)
 
 
@@ -362,7 +361,7 @@ class PressesArguments(CornerOptions, CurveOptions, AllowOptions, SensorOptions,
 
 
 def _presses(asked: PressesArguments) -> pipeline.PressCalibration:
-    require_known_checks(asked.allow, CHECK_NAMES)
+    require_known_checks(asked.allow)
     require_output(Path(asked.out), JSON)
     if asked.overlay is not None:
         require_output(Path(asked.overlay), PICTURE)
@@ -417,19 +416,19 @@ def _report_presses(result: pipeline.PressCalibration, asked: PressesArguments) 
     """Print which circles were taken, the ball, the scale and the sign of depth."""
     held_back, camera = result.fit.held_back_deg, result.rig.camera
     if np.isfinite(held_back):
-        print(f"  held back         {held_back:.2f} degrees, median on presses that a fit did not see")
+        say(f"  held back         {held_back:.2f} degrees, median on presses that a fit did not see")
     took = "found" if asked.labels is None else f"as labelled in {asked.labels}"
-    print(f"  contact circles   {result.used}, {took}{_moves(result.fit)}")
+    say(f"  contact circles   {result.used}, {took}{_moves(result.fit)}")
     if result.passed_over:
         names = ", ".join(result.passed_over[:5]) + (" …" if len(result.passed_over) > 5 else "")
         without = "a dent that is symmetric" if asked.labels is None else "a label"
-        print(f"  passed over       {len(result.passed_over)} images without {without}: {names}")
-        print("                    (--overlay circles.png draws them, --circle gives one a circle)")
+        say(f"  passed over       {len(result.passed_over)} images without {without}: {names}")
+        say("                    (--overlay circles.png draws them, --circle gives one a circle)")
     radius = asked.ball_radius_mm
-    print(f"  ball              {radius:g} mm in radius, {2 * radius:g} mm across")
+    say(f"  ball              {radius:g} mm in radius, {2 * radius:g} mm across")
     width, height = camera.width * asked.pixel_mm, camera.height * asked.pixel_mm
     scale = f"{asked.pixel_mm:g} mm a pixel in u and v, {width:.1f}×{height:.1f} mm"
-    print(f"  scale             {scale}; depth is 0 at rest, negative in a dent")
+    say(f"  scale             {scale}; depth is 0 at rest, negative in a dent")
 
 
 def _moves(fit: GelFit) -> str:
@@ -508,7 +507,7 @@ def rectify_command(asked: RectifyArguments) -> None:
     if source.is_dir():
         left_out = sum(path.is_file() for path in source.iterdir()) - len(capture.info.files)
         if left_out:
-            print(f"{source}: {left_out} files that are no images were left out")
-    print(f"{asked.out}: {count} images of {width}×{height}, {rectification.pixel_mm:g} mm a pixel")
+            say(f"{source}: {left_out} files that are no images were left out")
+    say(f"{asked.out}: {count} images of {width}×{height}, {rectification.pixel_mm:g} mm a pixel")
     ball = ("--ball-radius-mm", "2", "--pixel-mm", f"{rectification.pixel_mm:g}")
     print_next("calibrate", "presses", str(asked.out), "--background", "gel.png", *ball, "--out", "gel.json")

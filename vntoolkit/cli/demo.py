@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from vntoolkit.cli.output import ProgressBars, print_next
+from vntoolkit.cli.output import ProgressBars, print_next, say
 from vntoolkit.cli.verb import command, verb
 from vntoolkit.options.base import File
 from vntoolkit.options.shared import JobOptions
@@ -50,10 +50,10 @@ def demo_command(asked: DemoArguments) -> None:
     """Print how far the normals are from the truth, and where the results are."""
     folder, result, page = _shown(asked)
     middle = compare_frame_with_truth(result, folder.garment, result.numbers[len(result.numbers) // 2])
-    print(
+    say(
         f"normals are {middle.normals.median_deg:.1f} degrees from the truth "
         f"(median of frame {middle.number})"
     )
-    print(f"meshes, one per frame: {folder.reconstruction / 'mesh'}")
-    print(f"report: {page}")
+    say(f"meshes, one per frame: {folder.reconstruction / 'mesh'}")
+    say(f"report: {page}")
     print_next("view", folder.reconstruction)

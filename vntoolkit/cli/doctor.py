@@ -22,7 +22,7 @@ from vntoolkit import __version__, native
 from vntoolkit.cli.given import curve_from_text
 from vntoolkit.cli.output import print_next
 from vntoolkit.cli.verb import command, verb
-from vntoolkit.errors import BadCapture, BadInput
+from vntoolkit.errors import BadCapture, BadInput, escaped
 from vntoolkit.options.base import OptionalFile, as_path, named
 from vntoolkit.options.footage import Gaps, MatteOptions, ReadingLimits, SensorOptions
 from vntoolkit.options.shared import BackgroundOptions
@@ -222,8 +222,9 @@ def _stated_and_done(report: CaptureReport) -> list[tuple[str, str, str]]:
     rows.append(("camera", *(turned if info.orientation else ("upright, or nothing stated", "nothing"))))
     if info.kind.value == "video":
         rows.append(("lines", "not interlaced", "nothing"))
-        uneven = ("uneven", "kept in the manifest; export plays at the mean rate")
-        rows.append(("times", *(uneven if info.times_s else ("even", "nothing"))))
+        uneven = ("uneven", "exports show every frame at its time")
+        even = ("not to be used" if info.unusable_times else "even", f"played at {info.frame_rate_hz:g} Hz")
+        rows.append(("times", *(uneven if info.times_s else even)))
         declared = f"{info.promised_frame_count}"
         lost = f"{info.frame_count} came; the loss is said, with exit status 1"
         same = info.promised_frame_count == info.frame_count
@@ -233,7 +234,7 @@ def _stated_and_done(report: CaptureReport) -> list[tuple[str, str, str]]:
 
 def _print_report(console: Console, source: str, report: CaptureReport) -> None:
     info = report.info
-    table = Table(title=escape(source), show_header=False, title_justify="left")
+    table = Table(title=escape(escaped(source)), show_header=False, title_justify="left")
     table.add_column(style="bold")
     table.add_column()
     rate = "" if info.frame_rate_hz is None else f", {info.frame_rate_hz:g} per second"
@@ -252,7 +253,7 @@ def _print_report(console: Console, source: str, report: CaptureReport) -> None:
     for heading in ("of", "stated", "done"):
         stated.add_column(heading)
     for row in _stated_and_done(report):
-        stated.add_row(*map(escape, row))
+        stated.add_row(*(escape(escaped(fact)) for fact in row))
     console.print(stated)
     for finding in report.findings:
         colour = _COLOURS[finding.level.value]

@@ -6,7 +6,7 @@ from functools import partial
 from pathlib import Path
 from typing import ClassVar
 
-from vntoolkit.cli.output import MESH, ProgressBars, print_next_program, require_output
+from vntoolkit.cli.output import MESH, ProgressBars, print_next_program, require_output, say
 from vntoolkit.cli.verb import command, verb
 from vntoolkit.io.motion.garment_fits import read_garment_fit
 from vntoolkit.io.results.folder import read_lock, write_lock
@@ -91,11 +91,11 @@ def dress_command(asked: DressArguments) -> None:
     out = Path(asked.out)
     cut = f"; {dressed.cut_triangles} triangles cut" if dressed.cut_triangles else ""
     rate = f"{dressed.clock.frame_rate_hz:g} frames per second"
-    print(f"{out}: {summary.frames} frames of {len(dressed.template.vertices)} vertices, {rate}{cut}")
-    print(f"worn as {dressed.fitting.garment.value}: {summary.findings.sentence}")
+    say(f"{out}: {summary.frames} frames of {len(dressed.template.vertices)} vertices, {rate}{cut}")
+    say(f"worn as {dressed.fitting.garment.value}: {summary.findings.sentence}")
     if summary.fold_error is not None:
-        print(f"skin: folds within {1000 * summary.fold_error:.2g} mm; --carrier cache writes them exactly")
+        say(f"skin: folds within {1000 * summary.fold_error:.2g} mm; --carrier cache writes them exactly")
     if asked.preview:
         stem = _preview_name(out)
-        print(f"{out.parent / stem}_sheet.png, {stem}_turntable.mkv")
+        say(f"{out.parent / stem}_sheet.png, {stem}_turntable.mkv")
     print_next_program(out.with_name(out.name % 0) if out.suffix.lower() in MESH else out)

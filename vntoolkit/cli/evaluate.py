@@ -10,7 +10,7 @@ from typing import ClassVar
 import numpy as np
 
 from vntoolkit.arrays import FloatArray
-from vntoolkit.cli.output import print_next, print_table, progress_bar, require_output, write_json
+from vntoolkit.cli.output import print_next, print_table, progress_bar, require_output, say, write_json
 from vntoolkit.cli.verb import command, verb
 from vntoolkit.errors import BadInput, BadMesh
 from vntoolkit.evaluation import mesh_comparison
@@ -103,7 +103,7 @@ def normals(asked: NormalsArguments) -> None:
     if len(found.frames) > 1:
         rows.append(error_row("all", found.overall))
     print_table("degrees between the normals", COLUMNS, rows)
-    print(f"{asked.out}: normals.json, normals_map.png, normals_curve.png")
+    say(f"{asked.out}: normals.json, normals_map.png, normals_curve.png")
     _print_what_is_next(Path(asked.measured))
 
 
@@ -203,9 +203,9 @@ def mesh(asked: MeshArguments) -> None:
     if found.distance is not None:
         _print_distance(found.distance)
         if alignment is Alignment.SIMILARITY:
-            print(f"aligned with a scale of {found.scale:.4f}")
+            say(f"aligned with a scale of {found.scale:.4f}")
     _print_quality(found.quality)
-    print(f"{asked.out}: mesh.json" + (", mesh_curve.png" if asked.reference else ""))
+    say(f"{asked.out}: mesh.json" + (", mesh_curve.png" if asked.reference else ""))
     if asked.reference is not None and alignment is Alignment.NONE:
         pair = (str(asked.mesh), str(asked.reference))
         print_next("evaluate", "mesh", *pair, "--align", "rigid", "--out", str(asked.out))
@@ -241,7 +241,7 @@ def _print_distance(distance: mesh_comparison.MeshDistance) -> None:
         rows.append([name, *(f"{v:.6g}" for v in values), *(f"{s:.4f}" for s in shares)])
     columns = ["", "mean", "rms", "largest", "mean, %", "rms, %", "largest, %"]
     print_table(f"distances, and in % of the reference's diagonal {distance.diagonal:.6g}", columns, rows)
-    print(f"mean {distance.mean_percent:.3f} %, Hausdorff {distance.hausdorff_percent:.3f} % of the diagonal")
+    say(f"mean {distance.mean_percent:.3f} %, Hausdorff {distance.hausdorff_percent:.3f} % of the diagonal")
 
 
 def _print_quality(qualities: dict[str, mesh_comparison.MeshQuality]) -> None:
@@ -278,10 +278,9 @@ def _cylinder(asked: CylinderArguments) -> evaluate.CylinderEvaluation:
         with progress_bar("cylinder", 2 * len(result.numbers)) as advance:
             found = run(result, asked.truth, lambda _number: advance(1))
         write_json(out / "cylinder.json", found)
-        times = np.array([error.frame for error in found.frames]) / found.frame_rate_hz
         mean, std = (np.array([getattr(e, name) for e in found.frames]) for name in ("mean_deg", "std_deg"))
         title = f"{found.mean_deg:.2f} ± {found.std_deg:.2f} degrees over all frames"
-        figures.write_error_over_time(out / "cylinder.png", times, mean, std, title)
+        figures.write_error_over_time(out / "cylinder.png", np.array(found.times_s), mean, std, title)
     return found
 
 
@@ -298,7 +297,7 @@ def evaluate_cylinder(asked: CylinderArguments) -> evaluate.CylinderEvaluation:
 def cylinder(asked: CylinderArguments) -> None:
     """Print a table of the frames."""
     _print(_cylinder(asked))
-    print(f"{asked.out}: cylinder.json, cylinder.png")
+    say(f"{asked.out}: cylinder.json, cylinder.png")
     _print_what_is_next(Path(asked.folder))
 
 
@@ -317,14 +316,14 @@ def _print(found: evaluate.CylinderEvaluation) -> None:
             row += [f"{t.axis_deg:.2f}", f"{t.radius_percent:+.2f}"]
         rows.append(row)
     print_table("degrees between normals and the fitted cylinder", columns, rows)
-    print(
+    say(
         f"{len(found.frames)} frames: {found.mean_deg:.2f} ± {found.std_deg:.2f} degrees (paper: 8.67 ± 4.29)"
     )
     truths = [error.truth for error in found.frames if error.truth is not None]
     if truths:
         axis = [t.axis_deg for t in truths]
         radius = [abs(t.radius_percent) for t in truths]
-        print(
+        say(
             f"the fit against the truth: axis {np.median(axis):.2f} degrees (worst {max(axis):.2f}), "
             f"radius {np.median(radius):.2f} % (worst {max(radius):.2f})"
         )
@@ -388,7 +387,7 @@ def tracks(asked: TracksArguments) -> None:
     results = _tracks(asked)
     for name, errors in results.items():
         _print_table(name, errors)
-    print(f"{asked.out}: {', '.join(f'{name}.tsv' for name in results)}, tracks.png")
+    say(f"{asked.out}: {', '.join(f'{name}.tsv' for name in results)}, tracks.png")
     _print_what_is_next(Path(asked.folders[0]))
 
 
@@ -399,11 +398,11 @@ def _name(folder: Path) -> str:
 
 def _print_table(name: str, errors: list[TrackError]) -> None:
     step = max(1, -(-(len(errors) - 1) // _TRACK_LINES))
-    print(name)
-    print("       all visible vertices                without those reported lost")
-    print("frame  median px   95 % px outliers    lost  median px   95 % px")
+    say(name)
+    say("       all visible vertices                without those reported lost")
+    say("frame  median px   95 % px outliers    lost  median px   95 % px")
     for error in [*errors[:-1:step], errors[-1]]:
-        print(
+        say(
             f"{error.frame:5d}  {error.median_px:9.2f} {error.p95_px:9.2f} {100 * error.outliers:7.1f}% "
             f"{100 * error.lost:6.1f}%  {error.found_median_px:9.2f} {error.found_p95_px:9.2f}"
         )
@@ -485,7 +484,7 @@ def integration(asked: IntegrationArguments) -> None:
         table = [[e.name, e.integrator, f"{e.mean_mm:.3f}", f"{e.median_mm:.3f}"] for e in found.objects]
         columns = ["object", "integrator", "mean", "median"]
         print_table("depth error on real objects, mm", columns, table, names=2)
-    print(f"{asked.out}: integration.json, integration_curve.png, integration_map.png")
+    say(f"{asked.out}: integration.json, integration_curve.png, integration_map.png")
     chosen = ("--integrator", "discontinuity", "--out", "result")
     print_next("reconstruct", "capture.mkv", "--rig", "rig.json", *chosen)
 

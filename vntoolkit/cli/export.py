@@ -5,7 +5,7 @@ from functools import partial
 from pathlib import Path
 from typing import ClassVar
 
-from vntoolkit.cli.output import ProgressBars, print_next, print_next_program
+from vntoolkit.cli.output import ProgressBars, print_next, print_next_program, say
 from vntoolkit.cli.verb import command, verb
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.options.base import File, OptionalFile, named
@@ -73,7 +73,7 @@ def export_command(asked: ExportArguments) -> None:
     summary = _exported(asked)
     kept = f", {summary.kept} of them from before" if summary.kept else ""
     which = {True: " of the tracked mesh", False: " of each frame's own mesh", None: ""}[summary.is_tracked]
-    print(f"{summary.out}: {summary.frames} frames{which}{kept}")
+    say(f"{summary.out}: {summary.frames} frames{which}{kept}")
     files = [summary.out] if summary.out.is_file() else sorted(summary.out.iterdir())
     shapes = [path for path in files if path.suffix.lower() in _SHAPES]
     if shapes:

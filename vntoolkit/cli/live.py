@@ -12,9 +12,9 @@ from typing import ClassVar
 import numpy as np
 
 from vntoolkit.cli.given import rectification_from_corners, rig_with_corners
-from vntoolkit.cli.output import print_next
+from vntoolkit.cli.output import print_next, say
 from vntoolkit.cli.verb import command, verb
-from vntoolkit.diagnosis.checks import CHECK_NAMES, findings_from_rig
+from vntoolkit.diagnosis.checks import findings_from_rig
 from vntoolkit.diagnosis.finding import judge, require_known_checks
 from vntoolkit.errors import BadInput, VntError
 from vntoolkit.geometry.rectification import Rectification
@@ -72,7 +72,7 @@ class LiveArguments(CornerOptions, AllowOptions, CameraOptions, ViewerOptions, R
 
 def _prepared(asked: LiveArguments) -> tuple[capture.LiveSource, LiveProcessor]:
     """Return where frames come from and what works on them, warm."""
-    require_known_checks(asked.allow, CHECK_NAMES)
+    require_known_checks(asked.allow)
     if asked.seconds is not None and not asked.seconds > 0:
         raise BadInput(f"seconds: expected more than 0, got {asked.seconds:g}")
     rig = read_rig(Path(asked.rig))
@@ -150,9 +150,9 @@ def _watch(
 
     def on_r() -> None:
         try:
-            print("recording" if recorder.toggle() else "recording stopped", flush=True)
+            say("recording" if recorder.toggle() else "recording stopped", flush=True)
         except VntError as error:  # nothing can be written there: go on showing
-            print(f"not recording: {error}", flush=True)
+            say(f"not recording: {error}", flush=True)
 
     wait_for_all = isinstance(source, capture.FileSource) and not realtime
     run = capture.LiveRun(
@@ -165,7 +165,7 @@ def _watch(
         recorder=recorder,
         late_s=_LATE_FRAMES / source.frame_rate_hz,
     )
-    print(f"{shown.address} (r records, Ctrl-C ends)", flush=True)
+    say(f"{shown.address} (r records, Ctrl-C ends)", flush=True)
     timer = None if seconds is None else threading.Timer(seconds, run.stop)
     try:
         if timer is not None:
@@ -178,16 +178,16 @@ def _watch(
         recorder.stop()
         shown.close()
     rate, (median, high) = shown.meter.figures()
-    print(f"{source.name}: {run.figures().line()}")
+    say(f"{source.name}: {run.figures().line()}")
     if shown.meter.count:
         timing = f"{rate:.1f} frames/s, {1000 * median:.0f} ms (95 %: {1000 * high:.0f} ms) after arrival"
-        print(f"drawn {shown.meter.count}: {timing}")
+        say(f"drawn {shown.meter.count}: {timing}")
     for path in recorder.files:
-        print(f"recorded {path}")
+        say(f"recorded {path}")
     if recorder.lost:
-        print(f"the recordings lost {recorder.lost} frames: the disk is too slow")
+        say(f"the recordings lost {recorder.lost} frames: the disk is too slow")
     if recorder.problem:
-        print(f"not recorded: {recorder.problem}")
+        say(f"not recorded: {recorder.problem}")
 
 
 def _source(asked: LiveArguments, rig: Rig) -> capture.LiveSource:

@@ -2,6 +2,7 @@
 
 import contextlib
 import difflib
+import logging
 import os
 import re
 import tempfile
@@ -84,6 +85,14 @@ def line_from_unforeseen(error: Exception) -> str:
     with contextlib.suppress(OSError):
         where = f"the traceback is in {_written(error)}"
     return f"internal error, not a fault of your input ({what}); {where}; please report it"
+
+
+class OneLineFormatter(logging.Formatter):
+    """Shows a record on one line of limited length, whatever names it holds; a traceback after it."""
+
+    def formatMessage(self, record: logging.LogRecord) -> str:
+        """Return the line."""
+        return printable_line(super().formatMessage(record))
 
 
 def line_from_refusal(error: OSError) -> str:

@@ -8,6 +8,7 @@ import logging
 import os
 import shlex
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
@@ -19,12 +20,11 @@ from rich.progress import (
     ProgressColumn,
     Task,
     TextColumn,
-    TimeRemainingColumn,
 )
 from rich.table import Table
 from rich.text import Text
 
-from vntoolkit.errors import BadInput, CannotWrite, VntError
+from vntoolkit.errors import BadInput, CannotWrite, VntError, escaped
 from vntoolkit.io.atomic import cannot_write, write_text
 from vntoolkit.io.files import parse_json, read_text
 
@@ -37,12 +37,17 @@ Advance = Callable[[int], None]
 
 def print_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]], names: int = 1) -> None:
     """Print a table whose first `names` columns are texts and whose others are numbers."""
-    table = Table(title=title, title_justify="left", title_style="bold", box=None, pad_edge=False)
+    table = Table(title=escaped(title), title_justify="left", title_style="bold", box=None, pad_edge=False)
     for i, column in enumerate(columns):
         table.add_column(column, justify="left" if i < names else "right", no_wrap=True)
     for row in rows:
-        table.add_row(*row)
+        table.add_row(*map(escaped, row))
     plain_console().print(table)
+
+
+def say(line: object, *, flush: bool = False) -> None:
+    """Print one line; names in it may hold what a terminal would obey."""
+    print(escaped(str(line)), flush=flush)
 
 
 def plain_console() -> Console:
@@ -55,18 +60,18 @@ def plain_console() -> Console:
 
 def print_next(*words: str | Path) -> None:
     """Print the command that most often comes next, ready to paste into a shell."""
-    print(f"next: {shlex.join(['vntoolkit', *map(str, words)])}")
+    say(f"next: {shlex.join(['vntoolkit', *map(str, words)])}")
 
 
 def print_next_program(written: Path) -> None:
     """Print the command that opens a mesh or an animation in MeshLab or Blender, ready to paste."""
     suffix = written.suffix.lower()
     if suffix in MESH:
-        print(f"next: {shlex.join(['meshlab', str(written)])}")
+        say(f"next: {shlex.join(['meshlab', str(written)])}")
         return
     reader = "import_scene.gltf" if suffix == ".glb" else "wm.usd_import"
     command = f"import bpy; bpy.ops.{reader}(filepath={str(written)!r})"
-    print(f"next: {shlex.join(['blender', '--python-expr', command])}")
+    say(f"next: {shlex.join(['blender', '--python-expr', command])}")
 
 
 def write_json(path: Path, content: Any) -> None:
@@ -116,28 +121,33 @@ def require_output(path: Path | None, suffixes: tuple[str, ...] = ()) -> None:
         raise cannot_write(path, error) from error
 
 
-class _RateColumn(ProgressColumn):
-    """Shows frames per second."""
+class _PaceColumn(ProgressColumn):
+    """Shows frames per second and the time left; nothing before the first frame of this run.
+
+    Frames come in blocks, so the rate is that since the bar began; frames from before do not count.
+    """
 
     def render(self, task: Task) -> Text:
-        """Show the rate, or nothing before the first frame."""
-        return Text(f"{task.speed:.1f}/s" if task.speed else "", style="progress.data.speed")
+        """Show both."""
+        done, elapsed = task.completed - task.fields["before"], task.elapsed or 0.0
+        if done <= 0 or elapsed <= 0 or task.total is None:
+            return Text("")
+        left = timedelta(seconds=round((task.total - task.completed) * elapsed / done))
+        return Text(f"{done / elapsed:.1f}/s {left}", style="progress.data.speed")
 
 
 @contextlib.contextmanager
-def progress_bar(title: str, total: int, done: int = 0) -> Iterator[Advance]:
-    """Show a progress bar on standard error if it is a terminal; yield the function that advances it."""
-    columns = (
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        MofNCompleteColumn(),
-        _RateColumn(),
-        TimeRemainingColumn(),
-    )
+def progress_bar(title: str, total: int | None, done: int = 0) -> Iterator[Advance]:
+    """Show a progress bar on standard error if it is a terminal; yield the function that advances it.
+
+    total: None for a step of unknown length.
+    """
+    counted = () if total is None else (MofNCompleteColumn(), _PaceColumn())
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), *counted)
     console = Console(stderr=True)
     hidden = not (console.is_terminal or console.is_jupyter)
     with Progress(*columns, console=console, disable=hidden, transient=True) as progress:
-        task = progress.add_task(title, total=total, completed=done)
+        task = progress.add_task(escaped(title), total=total, completed=done, before=done)
         yield lambda n: progress.advance(task, n)
 
 
@@ -155,7 +165,7 @@ class ProgressBars:
     def __exit__(self, *_: object) -> None:
         self._stack.close()
 
-    def begin(self, title: str, total: int, done: int = 0) -> None:
+    def begin(self, title: str, total: int | None, done: int = 0) -> None:
         """Replace the bar by a new one."""
         self._stack.close()
         self._advance = self._stack.enter_context(progress_bar(title, total, done))

@@ -11,7 +11,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 import vntoolkit
-from vntoolkit.cli.output import print_next, print_table
+from vntoolkit.cli.output import print_next, print_table, say
 from vntoolkit.errors import BadInput, VntError
 from vntoolkit.report.recipes_page import RecipeRun, read_recipe_text, write_recipes_page
 
@@ -59,7 +59,7 @@ def run(
         raise BadInput(f"recipe '{name}': expected all, or one of {', '.join(found)}{hint}")
     understood = list(arguments)
     if "--quick" in arguments and '"--quick"' not in found[name].read_text("utf-8"):
-        print(f"{name} has no shorter form: it runs in full")
+        say(f"{name} has no shorter form: it runs in full")
         understood.remove("--quick")
     _run(found[name], ["--out", str(out or Path("out") / name), *understood])
     names = list(found)
@@ -97,7 +97,8 @@ def _run_all(out: Path, arguments: list[str]) -> None:
         text = read_recipe_text(path)
         if not text.summary.startswith(_EXPERIMENTS):
             continue
-        print(f"\n{name}: {text.summary}", flush=True)
+        print()
+        say(f"{name}: {text.summary}", flush=True)
         started, failure = time.perf_counter(), ""
         try:
             _run(path, ["--out", str(out / name), *_understood(path, arguments)])
@@ -112,7 +113,7 @@ def _run_all(out: Path, arguments: list[str]) -> None:
         runs.append(RecipeRun(name=name, text=text, folder=out / name, seconds=seconds, failure=failure))
     page = write_recipes_page(out / "recipes.html", runs)
     failed = [run.name for run in runs if run.failure]
-    print(f"{page}: {len(runs) - len(failed)} recipes" + (f"; failed: {', '.join(failed)}" if failed else ""))
+    say(f"{page}: {len(runs) - len(failed)} recipes" + (f"; failed: {', '.join(failed)}" if failed else ""))
     print_next("recipe", "list")
 
 

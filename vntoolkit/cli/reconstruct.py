@@ -6,9 +6,8 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from vntoolkit.cli.given import rig_with_corners
-from vntoolkit.cli.output import ProgressBars, print_next
+from vntoolkit.cli.output import ProgressBars, print_next, say
 from vntoolkit.cli.verb import command, verb
-from vntoolkit.diagnosis.checks import CHECK_NAMES
 from vntoolkit.diagnosis.finding import require_known_checks
 from vntoolkit.errors import BadCapture
 from vntoolkit.io.footage.captures import CaptureOptions, open_capture
@@ -50,6 +49,8 @@ class RunArguments(
     gaps: Named[Gaps, GapsName] = named(Gaps.REFUSE)
     """What to do where numbers of an image sequence are missing: refuse the sequence, or skip these frames.
     The other frames keep their numbers."""
+    frame_rate_hz: float | None = None
+    """Frames per second that the footage was filmed at. Default: what it states; 30 for images."""
     scheduler: str | None = None
     """Address of a Dask scheduler, tcp://host:8786, or "local". Workers must see the same folders."""
     overwrite: bool = False
@@ -62,8 +63,13 @@ class RunArguments(
 
     def job(self, source: str, rig: Rig, folder: Path, mask: Path | None, **more: Any) -> Request:
         """Return the reconstruction of a capture; more: further fields of it."""
-        require_known_checks(self.allow, CHECK_NAMES)
-        given: dict[str, Any] = {"allow": self.allow, "gaps": self.gaps, **more}
+        require_known_checks(self.allow)
+        given: dict[str, Any] = {
+            "allow": self.allow,
+            "gaps": self.gaps,
+            "frame_rate_hz": self.frame_rate_hz,
+            **more,
+        }
         return Request(
             source=source,
             rig=rig,
@@ -111,6 +117,7 @@ def _reconstructed(asked: ReconstructArguments) -> ReconstructionSummary:
         allow=asked.allow if asked.transfer is None else (*asked.allow, "tag"),
     )
     with ProgressBars() as bars:
+        bars.begin("prepare", None)
         return run(
             job,
             frames=asked.range,
@@ -149,15 +156,19 @@ def _with_transfer(rig: Rig, transfer: str | None) -> Rig:
 
 def _report(source: str, summary: ReconstructionSummary) -> None:
     for record in summary.skipped:
-        print(f"skipped frame {record.number}: {record.failure}")
+        if not record.shows_nothing:  # these are told together
+            say(f"skipped frame {record.number}: {record.failure}")
     resumed = f", {summary.resumed} from before" if summary.resumed else ""
     rate = f" ({summary.done / summary.seconds:.1f} frames/s)" if summary.done > 1 else ""
     total = summary.frames + summary.lost
-    print(f"{summary.folder}: {summary.done} of {total} frames done{resumed}{rate}")
+    say(f"{summary.folder}: {summary.done} of {total} frames done{resumed}{rate}")
     if summary.found_lamps:
-        print("the rig does not hold the lamps' colours: they were found in the subject's shadows")
+        say("the rig does not hold the lamps' colours: they were found in the subject's shadows")
     if summary.error_deg is not None:
-        print(f"expected error of the normals: {summary.error_deg:.1f} degrees, the median over the pixels")
+        say(
+            f"expected error of the normals: {summary.error_deg:.1f} degrees, the median over the pixels of "
+            "the worst frames"
+        )
     if summary.loss:
         raise BadCapture(f"{source}: {summary.loss}")
     print_next("view", summary.folder)

@@ -9,6 +9,7 @@ REMOVED: dict[str, str] = {
     "limbs that move more independently",
     "--refine-albedo": "was removed, since it left normals as they were; leave it out, "
     "`vntoolkit reconstruct` takes paint out of every frame",
+    "--pose-start": "was removed: it follows from --features; give --features sift for frames far apart",
     "--fit-method": "is --method now",
     "--faces": "is --most-faces now",
     "--field-width": "is --field-width-m now",

@@ -4,7 +4,7 @@ import json
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from vntoolkit.cli.output import PAGE, print_next, require_output
+from vntoolkit.cli.output import PAGE, print_next, require_output, say
 from vntoolkit.cli.verb import command, verb
 from vntoolkit.io.results.manifest import read_manifest
 from vntoolkit.options.base import File, OptionalFile, named
@@ -44,7 +44,7 @@ def report(asked: ReportArguments) -> None:
     if asked.json:
         print(json.dumps(pages.content_of_report(open_result(folder)), indent=1))
         return
-    print(_written(asked))
+    say(_written(asked))
     if (folder / "track").is_dir():
         print_next("export", folder, "--to", "usd")
     elif (folder / "depth").is_dir() and read_manifest(folder).input.frame_count > 1:

@@ -5,7 +5,7 @@ import sys
 from pathlib import Path
 from typing import Any, Literal
 
-from vntoolkit.cli.output import print_next
+from vntoolkit.cli.output import print_next, say
 from vntoolkit.errors import BadInput, CannotWrite
 
 
@@ -64,5 +64,5 @@ def data(name: str = "", /, *, out: Path | None = None) -> None:
         print("\n".join(shipped_files()))
         return
     target = copy_data(name, out)
-    print(target)
+    say(target)
     print_next("dress", "result/track", "--motion", target, "--out", "cloth.usdc")

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from vntoolkit.cli.output import ProgressBars, print_next
+from vntoolkit.cli.output import ProgressBars, print_next, say
 from vntoolkit.cli.reconstruct import RunArguments
 from vntoolkit.cli.verb import command, verb
 from vntoolkit.errors import BadInput, VntError
@@ -46,6 +46,7 @@ def _outcomes(asked: SessionArguments) -> list[CaptureOutcome]:
         for name, source in names_from_sources(tuple(map(str, asked.sources))).items()
     }
     with ProgressBars() as bars:
+        bars.begin("prepare", None)
         return run_session(
             captures,
             tracking=TrackingOptions(method=asked.method) if asked.track else None,
@@ -89,7 +90,7 @@ def _mask_of(name: str, mask: Path | None) -> Path | None:
 def _report(out: Path, outcomes: list[CaptureOutcome]) -> None:
     """Print a line for each capture; raise `VntError` where one failed."""
     for outcome in outcomes:
-        print(f"{out / outcome.name}: {_line(outcome)}")
+        say(f"{out / outcome.name}: {_line(outcome)}")
     failed = [outcome.name for outcome in outcomes if outcome.failure or _loss(outcome)]
     if failed:
         raise VntError(f"{len(failed)} of {len(outcomes)} captures failed: {', '.join(failed)}")
@@ -106,7 +107,8 @@ def _line(outcome: CaptureOutcome) -> str:
         return f"failed: {outcome.failure}"
     text = f"{made.done} of {made.frames + made.lost} frames done"
     text += f", {made.resumed} from before" if made.resumed else ""
-    text += "".join(f"; skipped frame {record.number}: {record.failure}" for record in made.skipped)
+    skipped = [record for record in made.skipped if not record.shows_nothing]
+    text += "".join(f"; skipped frame {record.number}: {record.failure}" for record in skipped)
     text += f"; {_loss(outcome)}" if _loss(outcome) else ""
     text += "" if made.error_deg is None else f"; normals expected within {made.error_deg:.1f} degrees"
     if outcome.failure:

@@ -6,7 +6,7 @@ from functools import partial
 from pathlib import Path
 from typing import ClassVar
 
-from vntoolkit.cli.output import ProgressBars, print_next
+from vntoolkit.cli.output import ProgressBars, print_next, say
 from vntoolkit.cli.verb import command, verb
 from vntoolkit.errors import BadInput
 from vntoolkit.io.footage.frame_range import FrameRange
@@ -73,7 +73,7 @@ def simulate_command(asked: SimulateArguments) -> None:
     """Print what was rendered, and what comes next."""
     job, summary = _simulated(asked)
     out, scene = Path(asked.out), asked.scene
-    print(f"{out}: {summary.frames} frames of {scene} in capture.mkv, {summary.rendered} rendered now")
+    say(f"{out}: {summary.frames} frames of {scene} in capture.mkv, {summary.rendered} rendered now")
     if scene in ("board", "sphere"):
         print_next("calibrate", scene, job.folder.video, "--out", "rig.json")
     elif scene == "gel":

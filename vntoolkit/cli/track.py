@@ -5,7 +5,7 @@ from functools import partial
 from pathlib import Path
 from statistics import median
 
-from vntoolkit.cli.output import ProgressBars, print_next
+from vntoolkit.cli.output import ProgressBars, print_next, say
 from vntoolkit.cli.verb import command, verb
 from vntoolkit.geometry.mesh import MeshSequence
 from vntoolkit.io.results.seams import read_seams
@@ -13,7 +13,7 @@ from vntoolkit.io.results.sequences import read_mesh_sequence
 from vntoolkit.options.base import File, OptionalFile, named
 from vntoolkit.options.footage import ReadingLimits
 from vntoolkit.options.shared import MovedFootageOptions
-from vntoolkit.options.tracking import CheckerboardOptions, TrackingOptions
+from vntoolkit.options.tracking import LOST_PX, CheckerboardOptions, TrackingOptions
 from vntoolkit.pipeline.checkerboard import CheckerboardFiles, write_checkerboard
 from vntoolkit.pipeline.texture import TextureSummary, write_texture
 from vntoolkit.pipeline.track import TrackJob, TrackSummary
@@ -29,10 +29,11 @@ class TrackArguments(MovedFootageOptions, TrackingOptions, CheckerboardOptions, 
     seams: OptionalFile = named(None)
     """JSON file of polylines on the template image. The surface is cut along them, as at mouth and eyes."""
     template: int | None = None
-    """Number of the template frame. Default: the first. It is tracked forwards and backwards."""
+    """Number of the template frame. Default: the one that shows most of the surface, lit and sharp; with
+    --seams the first. It is tracked forwards and backwards."""
     out: OptionalFile = named(None)
     """The folder to write; default FOLDER/track."""
-    lost_px: float = 4.0
+    lost_px: float = LOST_PX
     """A vertex is called lost where its expected error is above this, in pixels."""
     background: OptionalFile = named(None)
     """The background image that the reconstruction subtracted, for the colours of the texture."""
@@ -85,12 +86,15 @@ def track_command(asked: TrackArguments) -> None:
     summary, files = _tracked(asked, job)
     held = f", {len(summary.missing)} missing and held" if summary.missing else ""
     resumed = f", {summary.resumed} of them from before" if summary.resumed else ""
-    print(f"{summary.folder}: {summary.vertices} vertices, {summary.frames} frames{resumed}{held}")
+    say(
+        f"{summary.folder}: {summary.vertices} vertices of frame {summary.template}, {summary.frames} "
+        f"frames{resumed}{held}"
+    )
     if summary.visible:
         middle, least = median(summary.visible), min(summary.visible)
-        print(f"reported visible: {middle:.1%} of the vertices, {least:.1%} in the worst frame")
-    print(f"{files.video}, {files.sheet.name}")
+        say(f"reported visible: {middle:.1%} of the vertices, {least:.1%} in the worst frame")
+    say(f"{files.video}, {files.sheet.name}")
     made = _textured(asked, job)
     shown = made.texture.albedo or made.texture.normal
-    print(f"{shown}: {made.covered:.1%} of the surface from {made.frames} frames, the rest filled")
+    say(f"{shown}: {made.covered:.1%} of the surface from {made.frames} frames, the rest filled")
     print_next("dress", job.target, "--motion", "data/walk.bvh", "--out", "cloth.usdc")

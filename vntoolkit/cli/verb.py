@@ -12,12 +12,12 @@ import functools
 import inspect
 import os
 import textwrap
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal, ParamSpec, TypeVar, Union, get_args, get_origin
 
-from cyclopts import Group, Parameter
+from cyclopts import CoercionError, Group, Parameter, Token, convert
 
 from vntoolkit.cli.removed import require_no_removed
 from vntoolkit.errors import BadInput
@@ -37,7 +37,7 @@ _PANELS: dict[str, tuple[str, ...]] = {
         "like", "frames", "gaps", "background", "transfer", "bayer", "demosaic", "bits", "footage", "motion",
         "skeleton", "fit", "truth", "single_light", "focal_px", "data", "labels", "label_size", "lights",
         "measured_convention", "reference_convention", "allow", "width", "height", "rate", "realtime", "size",
-        "seconds", "crop",
+        "seconds", "crop", "frame_rate_hz",
     ),
     "Subject": (
         "mask", "mask_level", "key", "distance", "corners", "size_mm", "pixel_mm", "ball_radius_mm",
@@ -194,11 +194,26 @@ def _flags(arguments: Any) -> list[inspect.Parameter]:
             negative=None if default is True else (),
             negative_iterable=(),  # --exclude A B, and no --empty-exclude
             consume_multiple=True if is_tuple else None,
+            converter=_whole_numbers if _counts(hint) else None,
         )
         flags.append(
             inspect.Parameter(field.name, kind, default=default, annotation=Annotated[hint, parameter])
         )
     return sorted(flags, key=lambda flag: flag.kind)
+
+
+def _counts(hint: Any) -> bool:
+    """True where every number that a flag takes is a whole one."""
+    members = [inner for member in members_of(hint) for inner in get_args(member) or (member,)]
+    return int in members and float not in members
+
+
+def _whole_numbers(hint: Any, tokens: Sequence[Token]) -> Any:
+    """Return the values of a flag that counts; cyclopts alone would round 2.9 to 3."""
+    for token in tokens:
+        if "." in token.value:
+            raise CoercionError(token=token, target_type=int)
+    return convert(hint, tokens)
 
 
 def _type_of_flag(hint: Any) -> Any:

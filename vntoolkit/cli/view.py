@@ -4,7 +4,7 @@ import contextlib
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from vntoolkit.cli.output import PAGE, print_next, progress_bar, require_output
+from vntoolkit.cli.output import PAGE, print_next, progress_bar, require_output, say
 from vntoolkit.cli.verb import command, verb
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.options.base import File, OptionalFile, named
@@ -60,11 +60,11 @@ def view_command(asked: ViewArguments) -> None:
     if asked.html is not None:
         count = _written(asked, result, asked.html)
         thinned = f" of {len(result.numbers)}, evenly spread" if count < len(result.numbers) else ""
-        print(f"{asked.html}: {counted(count)}{thinned}; {asked.html.stat().st_size / 1e6:.1f} MB")
+        say(f"{asked.html}: {counted(count)}{thinned}; {asked.html.stat().st_size / 1e6:.1f} MB")
         print_next("report", str(asked.folder))
         return
     shown = ResultViewer(result, asked.part(ViewerOptions))
-    print(f"{shown.address} (Ctrl-C ends)", flush=True)
+    say(f"{shown.address} (Ctrl-C ends)", flush=True)
     with contextlib.suppress(KeyboardInterrupt):
         shown.wait()
     shown.close()

@@ -13,32 +13,31 @@ from vntoolkit.diagnosis import evidence as evidences
 from vntoolkit.diagnosis import over_time
 from vntoolkit.diagnosis import sharpness as sharp
 from vntoolkit.diagnosis.checks import findings_from_evidence, findings_from_rig
+from vntoolkit.diagnosis.empty_frames import finding_from_empty_frames
 from vntoolkit.diagnosis.finding import Finding, Level
+from vntoolkit.diagnosis.header_checks import (
+    CHROMA_COST_DEG,
+    findings_from_channels,
+    findings_from_header,
+    findings_from_tag,
+)
 from vntoolkit.diagnosis.lamp_nearness import Nearness, finding_from_nearness, fit_nearness
 from vntoolkit.diagnosis.rig_checks import check_stated_focal
-from vntoolkit.errors import BadCapture
 from vntoolkit.io.footage.captures import Capture, CaptureInfo, CaptureOptions, open_capture
 from vntoolkit.io.footage.frame_range import sampled
 from vntoolkit.io.footage.mattes import Mattes, open_mattes
-from vntoolkit.io.footage.pixel_formats import LOSSLESS_CODECS
-from vntoolkit.io.footage.sequence import text_of_names
 from vntoolkit.options.footage import MatteOptions
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.rig import Rig
-from vntoolkit.photometry.transfer import Transfer, TransferCurve
+from vntoolkit.photometry.transfer import Transfer
 
-_LOSSLESS_IMAGES = frozenset({"PNG", "TIFF", "BMP", "EXR", "raw"})
-_CAMERA_CODECS = frozenset({"JPEG", "h264", "hevc", "mjpeg", "prores", "av1", "vp9"})
-_BLACK = 0.01  # of full scale: a frame in which nothing is brighter shows nothing
-_CLIPPED_WHOLLY = 0.98
+_BLACK = 0.01  # of full scale
 _CLIPPED_TOO_MUCH = 0.001
 _CLIPPED_FATALLY = 0.1
 _FULL = 0.995  # of full scale
 _TOP_VALUES = 3  # stored values that a plateau has, for a codec's noise, and as many just below it
 _STEEP = 4.0  # times as many pixels: what is lit evenly, such as a wall, thins out as its noise does
 _DIM = 0.25  # a brightest percentile below it wastes two bits
-# Degrees that subsampled chroma costs on relief of two pixels, measured on rendered captures.
-_CHROMA_COST_DEG = {"4:2:0": 7, "4:2:2": 5, "4:4:0": 5, "4:1:1": 7}
 _FRAMES_COMPARED = 6
 _NARROWEST_PX = 16  # a strip has no slopes to compare
 
@@ -91,7 +90,7 @@ def inspect_capture(
     numbers = sampled(capture.present, samples)
     findings = findings_from_header(capture)
     if rig is None:
-        findings += _findings_from_tag(info, capture.transfer, Level.WARNING)
+        findings += findings_from_tag(info, capture.transfer, Level.WARNING)
     white = capture.transfer.diffuse_white
     clipped, dark, bright = [], [], []
     for number in numbers:
@@ -100,9 +99,20 @@ def inspect_capture(
         clipped.append(float(frame.clipped.mean()))
         dark.append(float((largest < _BLACK * white).mean()))
         bright.append(float(np.percentile(largest, 99)))
-        findings += _findings_from_frame(frame, f"frame {number}", white)
     findings += _findings_from_range(max(bright) / white)
-    findings += findings_from_capture(capture, rig, *mattes.judged(capture, range(len(capture))))
+    shown: Sequence[int] = capture.present
+    if rig is None or rig.gel is None or capture.background is None:
+        from vntoolkit.diagnosis.steps import steps_of
+        from vntoolkit.diagnosis.subject import survey_of
+
+        survey = survey_of(capture, mattes, capture.present)
+        shown = survey.frames_like(survey.shown, capture.present)
+        if empty := sorted(set(capture.present) - set(shown)):
+            findings.append(finding_from_empty_frames(empty, len(capture.present)))
+        steps = steps_of(survey, None if rig is None else rig.response)
+        findings += steps.findings
+        shown = survey.frames_like(steps.alike, shown)
+    findings += findings_from_capture(capture, rig, *mattes.judged(capture, shown or capture.present))
     return CaptureReport(
         info=info,
         transfer=capture.transfer,
@@ -112,153 +122,6 @@ def inspect_capture(
         brightest=max(bright),
         findings=tuple(findings),
     )
-
-
-def findings_from_header(capture: Capture) -> list[Finding]:
-    """Check what a capture says of itself: frames, chroma, codec, bits, and the curve it is read with."""
-    return [*_findings_from_info(capture.info), *_findings_from_transfer(capture.info, capture.transfer)]
-
-
-def _findings_from_frame(frame: LinearFrame, name: str, white: float) -> Iterator[Finding]:
-    """Find a frame that shows nothing. white: the light of a diffuse white, a share of full scale."""
-    try:
-        require_exposed(frame, name, white)
-    except BadCapture as problem:
-        brightest = float(frame.rgb.max(initial=0.0)) / white
-        what, _, remedy = str(problem).partition(": ")
-        yield Finding(
-            check="black" if brightest < _BLACK else "clipping",
-            level=Level.FATAL,
-            problem=what,
-            measured=f"a brightest value of {brightest:.1%}",
-            expected=f"{_BLACK:.0%} to 100 %",
-            remedy=remedy,
-        )
-
-
-def require_exposed(frame: LinearFrame, name: str, white: float = 1.0) -> None:
-    """Raise `BadCapture` for a frame that is black or clipped all over.
-
-    white: the light of a diffuse white, as a share of full scale.
-    """
-    brightest = float(frame.rgb.max(initial=0.0)) / white
-    if brightest < _BLACK:
-        raise BadCapture(
-            f"{name} is black: its brightest value is {brightest:.2%} of full scale; are the lights on and "
-            "the lens open?"
-        )
-    share = float(frame.clipped.mean())
-    if share > _CLIPPED_WHOLLY:
-        raise BadCapture(f"{name} is clipped at {share:.0%} of its pixels: lower the exposure and film again")
-
-
-def _findings_from_info(info: CaptureInfo) -> Iterator[Finding]:
-    if info.promised_frame_count > info.frame_count:
-        yield Finding(
-            check="cut-off",
-            level=Level.FATAL,
-            problem=f"the video is cut off: it declares {info.promised_frame_count} frames, "
-            f"{info.frame_count} came",
-            measured=f"{info.frame_count} frames",
-            expected=f"{info.promised_frame_count}",
-            remedy=f"copy the file again, or use what came with --frames 0:{info.frame_count}",
-        )
-    if info.missing:
-        names = text_of_names(list(info.missing.values()))
-        yield Finding(
-            check="gaps",
-            level=Level.FATAL,
-            problem=f"{len(info.missing)} of {info.frame_count} files of the sequence are missing: {names}",
-            measured=f"{info.frame_count - len(info.missing)} files",
-            expected=f"{info.frame_count}",
-            remedy="copy them too, or leave these frames out with --gaps skip",
-        )
-    if info.left_out:
-        names = text_of_names([path.name for path in info.left_out])
-        yield Finding(
-            check="stray",
-            level=Level.WARNING,
-            problem=f"left out, since the frames are named otherwise: {names}",
-            measured=f"{len(info.left_out)} files",
-            expected="none",
-            remedy="keep masks and thumbnails in another folder",
-        )
-    if info.chroma in _CHROMA_COST_DEG:
-        cost = _CHROMA_COST_DEG[info.chroma]
-        yield Finding(
-            check="chroma",
-            level=Level.WARNING,
-            problem=f"chroma subsampling {info.chroma} costs nothing on smooth surfaces, and up to "
-            f"{cost} degrees on relief as fine as two pixels, such as a knit; `reconstruct` takes part "
-            "of it back, `live` does not",
-            measured=f"chroma {info.chroma}",
-            expected="RGB or 4:4:4",
-            remedy="for such relief record RGB, raw or 4:4:4, or halve the picture size",
-        )
-    if info.codec not in LOSSLESS_CODECS and info.codec not in _LOSSLESS_IMAGES:
-        yield Finding(
-            check="codec",
-            level=Level.WARNING,
-            problem=f"{info.codec} is a lossy codec at most settings: its blocks show up as relief",
-            measured=f"codec {info.codec}",
-            expected="a lossless one",
-            remedy="record losslessly, or with the highest bit rate",
-        )
-    if info.bits == 8:
-        yield Finding(
-            check="bits",
-            level=Level.NOTE,
-            problem="8 bits per channel cost about 0.3 degrees",
-            measured="8 bits",
-            expected="10 or more",
-            remedy="record 10 or more bits where you can",
-        )
-
-
-def _findings_from_channels(info: CaptureInfo) -> Iterator[Finding]:
-    if info.chroma != "grey":
-        return
-    yield Finding(
-        check="grey",
-        level=Level.FATAL,
-        problem="the footage is grey",
-        measured="one channel",
-        expected="three",
-        remedy="three coloured lights need a colour camera",
-    )
-
-
-def _findings_from_tag(info: CaptureInfo, transfer: Transfer, level: Level) -> Iterator[Finding]:
-    """Find a stated transfer curve other than the one read with; no tag states a camera's own logarithm."""
-    stated, used = info.stated_transfer, transfer.to_text()
-    if not stated or stated == used or transfer.is_camera_log:
-        return
-    yield Finding(
-        check="tag",
-        level=level,
-        problem=f"the file states the transfer curve {stated}, the rig's is {used}"
-        if level is Level.FATAL
-        else f"the file states the transfer curve {stated} but is read as {used}",
-        measured=stated,
-        expected=used,
-        remedy="film as the rig was calibrated, or calibrate as it was filmed"
-        if level is Level.FATAL
-        else "leave --transfer out, unless the tag is known to be wrong",
-    )
-
-
-def _findings_from_transfer(info: CaptureInfo, transfer: Transfer) -> Iterator[Finding]:
-    if transfer.curve is not TransferCurve.LINEAR or info.stated_transfer:
-        return
-    if info.codec in _CAMERA_CODECS:
-        yield Finding(
-            check="transfer",
-            level=Level.NOTE,
-            problem=f"{info.codec} files of cameras and telephones are rarely linear",
-            measured="linear",
-            expected="bt709 (video) or srgb (JPEG)",
-            remedy="if this one is not linear, give --transfer bt709 or srgb",
-        )
 
 
 def findings_from_clipping(frames: Sequence[LinearFrame], mask: Mask | None) -> list[Finding]:
@@ -365,14 +228,14 @@ def examine_capture(
     `BadCapture` for a frame that cannot be read.
     """
     frames, in_a_row = _frames_to_judge(capture, numbers, over_time.FRAMES_IN_A_ROW)
-    findings = [*_findings_from_channels(capture.info), *findings_from_clipping(frames, mask)]
+    findings = [*findings_from_channels(capture.info), *findings_from_clipping(frames, mask)]
     if capture.info.chroma == "grey" or not frames:
         return Examination(findings=findings)
     small = [evidences.averaged_down(frame) for frame in frames]
     near: Nearness | None = None
     places = sorted({0, len(frames) // 2, len(frames) - 1})
     if rig is not None:
-        findings += _findings_from_tag(capture.info, capture.transfer, Level.FATAL)
+        findings += findings_from_tag(capture.info, capture.transfer, Level.FATAL)
         findings += check_stated_focal(rig, capture.info.stated_focal_px)
         height, width = frames[0].shape
         if (width, height) != rig.footage_size:
@@ -416,7 +279,7 @@ def examine_capture(
 def blur_of_colours(sharpness: sharp.Sharpness | None, chroma: str, frame: LinearFrame) -> float:
     """Return the blur of a frame's colours in pixels: the lens's, and that of what was interpolated."""
     blur_px = 0.0 if sharpness is None else sharpness.over_all_px
-    if chroma in _CHROMA_COST_DEG or sharp.colour_is_interpolated(frame):
+    if chroma in CHROMA_COST_DEG or sharp.colour_is_interpolated(frame):
         return math.hypot(blur_px, sharp.OF_INTERPOLATION_PX)
     return blur_px
 
@@ -472,8 +335,8 @@ def findings_from_calibration_footage(
 ) -> list[Finding]:
     """Check footage to calibrate on: channels, clipping inside `mask` (h, w), and the curve it states."""
     clipping = findings_from_clipping(_frames_to_judge(capture, numbers)[0], mask)
-    tag = _findings_from_tag(capture.info, capture.transfer, Level.WARNING)
-    return [*_findings_from_channels(capture.info), *clipping, *tag]
+    tag = findings_from_tag(capture.info, capture.transfer, Level.WARNING)
+    return [*findings_from_channels(capture.info), *clipping, *tag]
 
 
 def _frames_to_judge(

@@ -11,6 +11,7 @@ _STRETCH = 0.04  # of 1: a label's scale that is off by less moves no label by m
 _SURE = 4.0  # standard errors
 _NARROW = 0.45  # of the ball's radius, a slope of 27 degrees; presses in real use reach 0.7 to 0.8
 _FEWEST = 5  # presses that tell a scale
+_LEAST_ASPECT = 16 / 15  # the mildest that video standards use; uneven light shifts a rim by less
 _LEAST_LEVEL = 0.5  # of the gel's own colour: below it more than half of the picture is something else
 _LEAST_STRENGTH = 0.5  # of a press: what noise and the gel's own change have in common is far less
 _CLEARLY_BETTER = 0.92  # of the angle that a transfer curve leaves; noise and other lamps change it less
@@ -89,6 +90,29 @@ def check_contacts(shares: FloatArray) -> list[Finding]:
             measured=f"contact radius {share:.2f} of the ball's, {np.rad2deg(np.arcsin(share)):.0f} degrees",
             expected=f"{_NARROW:g} or more",
             remedy="press deeper; or was the ball's diameter given as --ball-radius-mm?",
+        )
+    ]
+
+
+def check_round(aspects: FloatArray) -> list[Finding]:
+    """Compare the contacts' heights over their widths, (n,), with a circle's."""
+    if len(aspects) < _FEWEST:
+        return []
+    logs = np.log(aspects)
+    middle = float(np.median(logs))
+    error = 1.25 * 1.48 * float(np.median(np.abs(logs - middle))) / np.sqrt(len(logs))
+    if abs(middle) < max(np.log(_LEAST_ASPECT), _SURE * error):
+        return []
+    return [
+        Finding(
+            check="contacts",
+            level=Level.WARNING,
+            problem="the contacts are no circles: a pixel is not as high as wide, so that areas and depths "
+            "are off",
+            measured=f"contacts {np.exp(middle):.3f} ± {error:.3f} times as high as wide, median",
+            expected="1",
+            remedy="scale the frames to square pixels, or give --corners and --size-mm, which take a size "
+            "each way",
         )
     ]
 

@@ -208,18 +208,23 @@ class MeshSequence(Displayed):
 
     template: topology, colours and texture coordinates. vertices: (frames, n, 3), possibly a memory map,
     so that a long sequence is read in slices. uncertainty_px: (frames, n) the error to expect of a
-    vertex in the image, pixels, or None. frame_rate_hz: frames per second.
+    vertex in the image, pixels, or None. frame_rate_hz: frames per second. times_s: (frames,) when each frame
+    was filmed, rising; None for one every 1 / frame_rate_hz seconds.
     """
 
     template: Mesh
     vertices: FloatArray
     frame_rate_hz: float = 60.0
+    times_s: FloatArray | None = None
     uncertainty_px: FloatArray | None = None
 
     def __post_init__(self) -> None:
         require_shape(self.vertices, (None, len(self.template.vertices), 3), "moving vertices", BadMesh)
         if not 0 < self.frame_rate_hz < np.inf:
             raise BadMesh(f"frame rate: expected a positive number, got {self.frame_rate_hz}")
+        if self.times_s is not None:
+            require_times(self.times_s, len(self.vertices), "times of a moving mesh")
+            object.__setattr__(self, "times_s", read_only(self.times_s))
         object.__setattr__(self, "vertices", read_only(self.vertices))
         if self.uncertainty_px is not None:
             require_shape(self.uncertainty_px, self.vertices.shape[:2], "uncertainty in pixels", BadMesh)
@@ -242,6 +247,13 @@ class MeshSequence(Displayed):
     def __len__(self) -> int:
         return int(self.vertices.shape[0])
 
+    @property
+    def instants_s(self) -> FloatArray:
+        """(frames,) seconds of each frame from the first."""
+        if self.times_s is None:
+            return np.arange(len(self)) / self.frame_rate_hz
+        return np.asarray(self.times_s - self.times_s[:1])
+
     def require_finite(self, name: str) -> None:
         """Raise `BadMesh` for a frame with NaN or infinity; reads them one after the other."""
         for frame, vertices in enumerate(self.vertices):
@@ -254,6 +266,14 @@ class MeshSequence(Displayed):
 
     def __iter__(self) -> Iterator[Mesh]:
         return (self[frame] for frame in range(len(self)))
+
+
+def require_times(times_s: FloatArray, count: int, name: str) -> None:
+    """Raise `BadMesh` unless there is a finite time for each of `count` frames, and they rise."""
+    require_shape(times_s, (count,), name, BadMesh)
+    require_finite(times_s, name, BadMesh)
+    if (np.diff(times_s) <= 0).any():
+        raise BadMesh(f"{name}: expected seconds that rise from frame to frame")
 
 
 _SMALLEST_SINE = 1e-9  # of a triangle's angle: below it the triangle has no area and its cotangent no value

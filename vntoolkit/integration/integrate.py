@@ -1,5 +1,6 @@
 """Integration of the normal maps of one camera to depth maps, frame after frame."""
 
+import logging
 from dataclasses import replace
 from functools import cached_property
 
@@ -13,7 +14,6 @@ from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
 from vntoolkit.integration.cast_shadows import DepthSteps
-from vntoolkit.integration.discontinuity import solve_discontinuous
 from vntoolkit.integration.edges import (
     Components,
     EdgeField,
@@ -26,6 +26,7 @@ from vntoolkit.integration.slopes import RayField, rays_from_camera, slopes_from
 from vntoolkit.native import njit
 from vntoolkit.options.depth import IntegrationOptions, Integrator, Precision
 
+_logger = logging.getLogger(__name__)
 _RECTANGLE = (Integrator.COSINE, Integrator.FOURIER)
 _LEAST_TRUST = np.float32(1e-4)  # of a pixel in the domain: with none, what lies beyond it would float
 _LEAST_SIZE = 5  # pixels that the one-sided stencils need
@@ -40,7 +41,8 @@ class DepthIntegrator:
     Depth from normals lacks one constant per connected component of the domain (pixels that share a side):
     orthographic depth is shifted to mean 0 over each component, perspective depth is scaled to mean 1
     over each (`LengthUnit.FREE`): components are **not** placed relative to each other. The domain is the
-    mask without the pixels whose confidence is below `options.least_weight`.
+    mask without the pixels whose confidence is below `options.least_weight`, and without normals that turn
+    away from the camera or have no length, whose number is logged.
 
     Confidence beyond that threshold weighs the equations of POISSON and DISCONTINUITY. COSINE and FOURIER
     cannot weigh, nor leave pixels out: they refuse a domain that is not the full rectangle.
@@ -98,8 +100,23 @@ class DepthIntegrator:
         domain = normal_map.mask
         if normal_map.weight is not None:
             domain = domain & (normal_map.weight >= self._options.least_weight)
+        unseen = domain & self._unseen(normal_map.normals_in_camera)
+        if unseen.any():
+            _logger.warning(
+                "%d of %d normals turn away from the camera or have no length: no camera measures these, so "
+                "they are left out of the depth", np.count_nonzero(unseen), np.count_nonzero(domain),
+            )  # fmt: skip
+            domain = domain & ~unseen
         require_some(domain, "normals to integrate")
         return domain
+
+    def _unseen(self, normals: Normals) -> Mask:
+        """Return where a surface would be seen from behind, or not at all: n_z >= 0, and n·ray >= 0 too."""
+        behind: Mask = normals[..., 2] >= 0
+        if behind.any() and self._camera.is_perspective:
+            points = self._rays.image_plane_points(*behind.shape)[behind]
+            behind[behind] = normals[behind][:, 2] + (normals[behind][:, :2] * points).sum(axis=1) >= 0
+        return behind
 
     def _choice(self, domain: Mask, steps: DepthSteps | None) -> Integrator:
         full = bool(domain.all())
@@ -181,6 +198,8 @@ class DomainSolver:
         self, normals: Normals, weight: Weight | None, steps: DepthSteps | None = None
     ) -> Float64Array:
         """Robust least squares that cuts edges across depth discontinuities."""
+        from vntoolkit.integration.discontinuity import solve_discontinuous
+
         box, scale = self.components.box, self._rays.pixels_per_unit
         inside = self.domain[box]
         difference, variance = chords_from_normals(

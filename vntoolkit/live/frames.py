@@ -1,13 +1,14 @@
 """Processing of a live frame: crop, rectification, background, normals, depth."""
 
 import contextlib
+from collections import deque
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from vntoolkit.arrays import Float32Array, LinearImage, Mask
 from vntoolkit.checks import require_shape
-from vntoolkit.errors import BadInput, VntError
+from vntoolkit.errors import BadInput, NoSubject, VntError
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, NormalMap
 from vntoolkit.geometry.rectification import Rectification
@@ -27,6 +28,7 @@ _CLIPPED_SHARE = 0.01  # of all pixels: more ruins normals
 _DARK_SHARE = 0.05  # of full scale: the 99th percentile of a picture that is too dark
 _FEW = 0.02  # of all pixels: fewer normals than that mean that nothing is lit
 _WARMING = 4  # the second frame starts from the first one's depth, and memory is then still fresh
+_RECENT = 60  # frames that tell how bright a subject is
 _EVERY = 7  # pixel and row looked at for the exposure
 
 
@@ -117,6 +119,8 @@ class LiveProcessor:
 
         subtracted = self._background if key is None else None
         self._processor = FrameProcessor(read, reconstruction, mask, subtracted, with_errors=False)
+        self._darkest = reconstruction.inversion.darkest
+        self._recent: deque[float] = deque(maxlen=_RECENT)
         overlap = self._processor.finds_shadows and self._key is None and loops_may_overlap()
         self.lanes = (self._begin,) * (2 if overlap else 1)
         self._step = max(1, -(-max(self.camera.width, self.camera.height) // depth_px))
@@ -148,7 +152,18 @@ class LiveProcessor:
         warnings = exposure_warnings(cut)
         if self.view.rectification is not None:
             cut = replace(cut, values=self._linear_values(frame), bits=32)
-        return self._processor.process(cut, None if self._key is None else self._key(cut)), warnings
+        matte = None if self._key is None else self._key(cut)
+        if self.rig.gel is None:
+            self._require_subject(cut, matte)
+        return self._processor.process(cut, matte), warnings
+
+    def _require_subject(self, frame: EncodedFrame, matte: Mask | None) -> None:
+        """Raise `NoSubject` for a frame that is far darker than recent ones, or than the rig's material."""
+        albedo = self._processor.albedo_in(frame, matte, 1.0)
+        usual = float(np.median(self._recent or [0.0]))
+        self._recent.extend([] if albedo is None else [albedo])
+        if albedo is None or albedo < self._darkest * usual:
+            raise NoSubject(f"{frame.name}: no subject in sight: it is black, or far darker than before")
 
     def finish(self, begun: Begun) -> LiveResult:
         """The second half, frame after frame: depth, tied to that of the first."""

@@ -12,8 +12,8 @@ from vntoolkit.options.calibration import ResponseModel, ResponseModelName
 class Features(Enum):
     """What is matched between frames."""
 
-    TRACKS = "tracks"  # skin followed by optical flow: video, up to 4 degrees from frame to frame
-    SIFT = "sift"  # features matched: photographs, up to 20 degrees apart; slower
+    TRACKS = "tracks"  # skin followed by optical flow, poses by factorisation: up to 4 degrees a frame
+    SIFT = "sift"  # features matched, poses by COLMAP's mapping: photographs, up to 20 degrees apart; slower
 
 
 FeaturesName: TypeAlias = Literal["tracks", "sift"]
@@ -74,16 +74,6 @@ class FollowOptions(Options):
     tracks: TrackOptions = field(default_factory=TrackOptions)
 
 
-class PoseStart(Enum):
-    """Initialisation of the poses."""
-
-    FACTORISATION = "factorisation"  # of tracks over many close frames; a long lens helps
-    MAPPING = "mapping"  # frame by frame from pairs; frames may lie 20 degrees apart
-
-
-PoseStartName: TypeAlias = Literal["factorisation", "mapping"]
-
-
 LEAST_TRACKS = 60
 
 
@@ -117,11 +107,10 @@ class HullOptions(Options):
             raise BadInput(f"hull: expected 16 to 512 cells, got {self.hull_cells}")
 
 
-_CLOSER_ANGLES_DEG = (6.0, 12.0, 18.0)  # of the second pass: from well correlated to precise in depth
-
-_CLOSER_WINDOW_PX, _LESS_SMOOTH, _MORE_VIEWS = 5, 0.5, 2
-
-_CLOSE = 0.012  # of the diagonal: how far the second and third pass search to both sides
+# Of the second pass: neighbours from well correlated to precise in depth, and smaller windows.
+_CLOSER_ANGLES_DEG = (6.0, 12.0, 18.0)
+_CLOSER_WINDOW_PX, _LESS_SMOOTH = 5, 0.5
+_CLOSE = 0.012  # of the diagonal: how far it searches to both sides
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -169,13 +158,6 @@ class StereoOptions(Options):
             smoothing_px=_LESS_SMOOTH * self.smoothing_px,
         )
 
-    def finely(self) -> Self:
-        """Return the options of the third pass: as the second, from more views."""
-        return replace(self.closely(), references=_MORE_VIEWS * self.references)
-
-
-_DEEPEST = 12  # levels of an octree
-
 
 @dataclass(frozen=True, kw_only=True)
 class FusionOptions(Options):
@@ -195,14 +177,10 @@ class FusionOptions(Options):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not 4 <= self.fusion_depth <= _DEEPEST or self.confirmations < 0:
+        if not 4 <= self.fusion_depth <= 12 or self.confirmations < 0:
             raise BadInput("fusion: expected a depth of 4 to 12 and no negative number of confirmations")
         if min(self.agreement, self.hull_gap) <= 0:
             raise BadInput("fusion: expected a positive agreement and hull gap")
-
-    def finely(self) -> Self:
-        """Return the options for the points of small windows: cells of half the size."""
-        return replace(self, fusion_depth=min(_DEEPEST, self.fusion_depth + 1))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -245,9 +223,6 @@ class HeadOptions(Options):
     head_shape: Named[HeadShape, HeadShapeName] = named(HeadShape.REFINED)
     """Shape that gives the normals: from silhouettes only, fused with stereo, or refined by the normals of
     all frames."""
-    pose_start: Named[PoseStart | None, PoseStartName | None] = named(None)
-    """Initialisation of the poses; default: factorisation for tracks; mapping for features, or factorisation
-    where mapping fails."""
     following: FollowOptions = field(default_factory=FollowOptions)
     poses: PoseOptions = field(default_factory=PoseOptions)
     hull: HullOptions = field(default_factory=HullOptions)

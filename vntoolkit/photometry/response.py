@@ -9,6 +9,7 @@ from vntoolkit.checks import require_finite, require_shape
 from vntoolkit.errors import BadRig
 
 _LARGEST_CONDITION_NUMBER = 1e4  # beyond it one grey level of noise turns a normal by tens of degrees
+_FAINTEST = 1e-12  # of M: no sensor resolves it; squares of M and M⁻¹ stay within single precision
 HIGHEST_DEGREE = 3
 
 
@@ -40,6 +41,12 @@ class LightResponse:
                 require_shape(value, shape, f"light response: {name}", BadRig)
                 require_finite(value, f"light response: {name}", BadRig)
                 object.__setattr__(self, name, read_only(value))
+        brightest = float(np.abs(self.matrix).max())
+        if 0 < brightest < _FAINTEST or brightest > 1 / _FAINTEST:
+            raise BadRig(
+                f"light response: the largest number of M is {brightest:.0e}: expected about 1, the light of "
+                "a surface as a share of full scale; calibrate again"
+            )
         condition = self.condition_number
         if not condition < _LARGEST_CONDITION_NUMBER:
             raise BadRig(

@@ -21,10 +21,10 @@ from vntoolkit.calibration.head.hull import (
 )
 from vntoolkit.calibration.head.light import HeadLight, fit_light
 from vntoolkit.calibration.head.patches import detail_in_8_bits, find_again
-from vntoolkit.calibration.head.poses import HeadMotion, settle_head_motion, solve_head_motion
+from vntoolkit.calibration.head.poses import HeadMotion, adjust_head_motion, solve_head_motion
 from vntoolkit.calibration.head.refinement import RefinedHead, refine_head
 from vntoolkit.calibration.head.samples import HeadRays, HeadSamples, LightFrame, sample_head
-from vntoolkit.calibration.head.shape import FusedShape, fit_shape
+from vntoolkit.calibration.head.shape import fit_shape
 from vntoolkit.calibration.head.sift import SiftBuilder, require_features
 from vntoolkit.calibration.head.silhouettes import Silhouette, find_silhouette, require_head
 from vntoolkit.calibration.head.tracks import TrackBuilder, Tracks, local_contrast, require_tracks
@@ -41,24 +41,17 @@ from vntoolkit.options.head import (
     HeadOptions,
     HeadShape,
     HullOptions,
-    PoseStart,
 )
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline.calibrate import CalibrationJob
 
 _SEED = 0
-_GUESSED_FOCAL = 3.0  # of the picture's longer side, where nobody knows: a portrait lens
+_INITIAL_FOCAL = 3.0  # of the picture's longer side, where nobody knows: a portrait lens
 _LEAST_FRAMES, _MOST_FRAMES = 12, 400
 _HULL_VIEWS = 32
 _NORMAL_FRAMES = 24  # over the turn: each part of the face is seen in ten of them
 Progress = Callable[[str, int, int], None]
-
-
-_STARTS = {
-    Features.TRACKS: [PoseStart.FACTORISATION],
-    Features.SIFT: [PoseStart.MAPPING, PoseStart.FACTORISATION],
-}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -101,39 +94,36 @@ def calibrate_head(
     given = job.camera_for(capture.info)
     size = (capture.info.width, capture.info.height)
     undistorter = Undistorter(
-        given or Camera.pinhole(width=size[0], height=size[1], focal_px=_GUESSED_FOCAL * max(size))
+        given or Camera.pinhole(width=size[0], height=size[1], focal_px=_INITIAL_FOCAL * max(size))
     )
     with clock.stage("tracks"):
         footage, tracks = _follow(job, undistorter, options, on_progress)
     with clock.whole_stage("poses"):
-        motion = _moved(tracks, undistorter.camera, options, rng, refine_focal=given is None)
+        motion = solve_head_motion(
+            tracks,
+            undistorter.camera,
+            options.poses,
+            rng,
+            refine_focal=given is None,
+            features=options.following.features,
+        )
     with clock.whole_stage("hull"):
         carved = _carve(footage, motion, options.hull)
-    shape = FusedShape(mesh=carved.mesh, points=carved.mesh.vertices)
+    shape = carved.mesh
     if options.head_shape is not HeadShape.HULL:
         carved, shape = _with_stereo(footage, carved, options, clock, refine_focal=given is None)
     turn = _Turn(capture=capture, undistorter=undistorter, footage=footage, motion=carved.motion)
     with clock.stage("light"):
         chosen = spread_over_turn(carved.views, options.samples.light_frames)
-        samples = sample_head(
-            shape.mesh, carved.motion.camera, list(turn.frames(chosen)), options.samples, rng
-        )
-        light = fit_light(samples, HeadRays(shape.mesh), options.light, rng)
+        samples = sample_head(shape, carved.motion.camera, turn.frames(chosen), options.samples, rng)
+        light = fit_light(samples, HeadRays(shape), options.light, rng)
         on_progress("light", 1, 1)
-    mesh, refined = shape.mesh, None
+    mesh, refined = shape, None
     if options.head_shape is HeadShape.REFINED:
         chosen = spread_over_turn(carved.views, _NORMAL_FRAMES)
         with clock.stage("refinement"):
             refined = refine_head(
                 shape,
-                lambda mesh: fit_shape(
-                    carved.views,
-                    hull=carved.grid,
-                    about=mesh,
-                    contrasts=footage.contrasts,
-                    stereo=options.stereo.finely(),
-                    fusion=options.fusion.finely(),
-                ),
                 carved.motion.camera,
                 partial(turn.frames, chosen),
                 light,
@@ -156,7 +146,7 @@ def calibrate_head(
         tracks=tracks,
         motion=carved.motion,
         hull=carved.mesh,
-        fused=shape.mesh,
+        fused=shape,
         mesh=mesh,
         refined=refined,
         light_numbers=tuple(footage.numbers[k] for k in chosen),
@@ -188,15 +178,15 @@ def _carve(footage: HeadFootage, motion: HeadMotion, options: HullOptions) -> _C
 
 def _with_stereo(
     footage: HeadFootage, carved: _Carved, options: HeadOptions, clock: _Clock, *, refine_focal: bool
-) -> tuple[_Carved, FusedShape]:
-    """Fuse stereo into the hull twice: what the first pass finds settles the poses for the second."""
+) -> tuple[_Carved, Mesh]:
+    """Fuse stereo into the hull twice: what the first pass finds corrects the poses for the second."""
     fuse = partial(fit_shape, contrasts=footage.contrasts, fusion=options.fusion)
     with clock.stage("stereo"):
         progress = partial(clock.on_progress, "stereo")
-        rough = fuse(carved.views, hull=carved.grid, stereo=options.stereo, on_progress=progress).mesh
+        rough = fuse(carved.views, hull=carved.grid, stereo=options.stereo, on_progress=progress)
     with clock.whole_stage("poses again"):
         again = find_again(carved.views, footage.details, rough, carved.motion.points_in_head)
-        motion, moved = settle_head_motion(carved.motion, *again, refine_focal=refine_focal)
+        motion, moved = adjust_head_motion(carved.motion, *again, refine_focal=refine_focal)
         carved = _carve(footage, motion, options.hull)
         rough = rough.with_vertices(moved.apply(rough.vertices))
     with clock.stage("stereo again"):
@@ -252,22 +242,6 @@ def _follow(
     return follow_frames(frames(), undistorter.camera, options.following)
 
 
-def _moved(
-    tracks: Tracks, camera: Camera, options: HeadOptions, rng: np.random.Generator, *, refine_focal: bool
-) -> HeadMotion:
-    starts = [options.pose_start] if options.pose_start else _STARTS[options.following.features]
-    first_fault: BadCalibration | None = None
-    for start in starts:
-        try:
-            return solve_head_motion(
-                tracks, camera, options.poses, rng, refine_focal=refine_focal, start=start
-            )
-        except BadCalibration as fault:
-            first_fault = first_fault or fault
-    assert first_fault is not None  # every list of starts has one
-    raise first_fault
-
-
 class _Clock:
     """Seconds that each stage takes, and what is told of its progress."""
 
@@ -312,10 +286,10 @@ def follow_frames(
     numbers, silhouettes, contrasts, details = [], [], [], []
     for frame in frames:
         silhouette = find_silhouette(frame.rgb, options.silhouettes)
-        builder.add(local_contrast(frame.rgb), silhouette.bright)
+        contrasts.append(local_contrast(frame.rgb))
+        builder.add(contrasts[-1], silhouette.bright)
         numbers.append(frame.number)
         silhouettes.append(silhouette)
-        contrasts.append(builder.image)
         details.append(detail_in_8_bits(frame.rgb))
     require_head(silhouettes)
     tracks = builder.finish()

@@ -29,7 +29,13 @@ from vntoolkit.photometry.transfer import (
     encoded_from_linear,
     linear_from_encoded,
 )
-from vntoolkit.tactile.circles import FoundCircle, Press, find_contact_circle, shrunk_change
+from vntoolkit.tactile.circles import (
+    FoundCircle,
+    Press,
+    aspect_of_contact,
+    find_contact_circle,
+    shrunk_change,
+)
 from vntoolkit.tactile.dots import DotFilter
 from vntoolkit.tactile.fit import GelFit, angle_of_one_matrix, fit_gel_to_presses, largest_label_offset
 from vntoolkit.tactile.inversion import change_without_drift
@@ -96,6 +102,7 @@ class _ReadPress:
     """One image: its samples, None where it has no press.
 
     labelled, found: the circle as labelled and as found, None where there is none. change: of colour, shrunk.
+    aspect: height over width of the contact found.
     """
 
     name: str
@@ -103,6 +110,7 @@ class _ReadPress:
     labelled: Press | None
     found: FoundCircle | None
     change: LinearImage | None
+    aspect: float | None
 
 
 def calibrate_presses(
@@ -134,6 +142,7 @@ def calibrate_presses(
         *press_checks.check_gel_fills_picture(level, _colour_at_contacts(samples)),
         *(_findings_from_labels(read, (width, height)) if reader.has_folder else ()),
         *press_checks.check_contacts(radii_mm / options.ball_radius_mm),
+        *press_checks.check_round(np.array([p.aspect for p in read if p.aspect is not None])),
     ]
     fit = fit_gel_to_presses(samples, level, (width, height), options)
     if options.label_offset is LabelOffset.COMMON:
@@ -319,15 +328,19 @@ def _read(
     job, capture = reader.job, reader.capture
     for done, frame in enumerate(capture.frames(), start=1):
         name = reader.name(frame.number)
-        samples = labelled = found = small = None
+        samples = labelled = found = small = aspect = None
         if not reader.passes_over(name):
             change, filled = reader.change(job.prepare(frame))
             found, small = find_contact_circle(change), shrunk_change(change)
+            if found is not None and job.rectification is None:  # corners take a size each way
+                aspect = aspect_of_contact(change, found.press)
             labelled = reader.labelled(name)
             press = labelled or (None if found is None else found.press)
             if press is not None:
                 samples = samples_from_press(change, reader.background.rgb, ~filled, press, options, rng)
-        yield _ReadPress(name=name, samples=samples, labelled=labelled, found=found, change=small)
+        yield _ReadPress(
+            name=name, samples=samples, labelled=labelled, found=found, change=small, aspect=aspect
+        )
         on_frame(done, len(capture.present))
 
 

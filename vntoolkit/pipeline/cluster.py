@@ -6,8 +6,10 @@ worker that dies costs the items it was at: the scheduler gives them to another,
 
 import contextlib
 import logging
+import queue
 import threading
-from collections.abc import Callable, Generator, Iterable, Iterator
+import time
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from typing import Any
 
 from vntoolkit.errors import BadInput, MissingDependency, VntError
@@ -17,6 +19,8 @@ from vntoolkit.pipeline.processes import Item, Result, Work
 LOCAL = "local"
 _IN_FLIGHT = 2  # items per thread of the cluster: one at work, one ready
 _SECONDS_TO_CONNECT = 15
+_SECONDS_BETWEEN_LOOKS = 5
+_SECONDS_OF_SILENCE = 30  # workers tell of themselves every few seconds
 _RARE_HOUSEKEEPING: dict[str, Any] = {  # several watches a second would cost two busy cores a twelfth
     "distributed.admin.tick.interval": "1s",
     "distributed.admin.system-monitor.interval": "5s",
@@ -92,33 +96,115 @@ def _let_dask_report_errors_only() -> None:
             logger.setLevel(max(logger.level, logging.ERROR))
 
 
+class _Watched:
+    """The workers of a cluster as they were when last looked at.
+
+    A worker that is killed leaves the scheduler's list; one that is stopped keeps its place, and is silent.
+    """
+
+    def __init__(self, client: Any) -> None:
+        self._client = client
+        self._heard: dict[str, tuple[float, float]] = {}  # of each: what it said last, when that was new here
+        self._last_at_work = time.monotonic()
+        self.at_work: dict[str, int] = {}  # threads by address
+        self.silent: list[str] = []
+        self.look()
+
+    def look(self) -> None:
+        """Ask the scheduler; raise `VntError` where it is silent, or nobody has been at work for long."""
+        try:
+            asked = self._client.scheduler.identity
+            known = self._client.sync(asked, n_workers=-1, callback_timeout=_SECONDS_TO_CONNECT)["workers"]
+        except Exception as error:  # closed, lost, or no answer in time: Dask has many names for it
+            raise _gone("the Dask scheduler does not answer any more") from error
+        now = time.monotonic()
+        for address, worker in known.items():
+            said = worker["last_seen"]
+            if self._heard.get(address, (None, 0.0))[0] != said:
+                self._heard[address] = said, now
+        self.at_work = {
+            address: worker["nthreads"]
+            for address, worker in known.items()
+            if worker["status"] == "running" and now - self._heard[address][1] < _SECONDS_OF_SILENCE
+        }
+        self.silent = [address for address in known if address not in self.at_work]
+        if self.at_work:
+            self._last_at_work = now
+        elif now - self._last_at_work > _SECONDS_OF_SILENCE:
+            raise _gone("no worker of the Dask scheduler is at work any more")
+
+
+def _gone(what: str) -> VntError:
+    return VntError(f"{what}; what is finished is on disk: run the same command again to go on")
+
+
 def _collect(
     client: Any, begin: Callable[[int | None], Work[Item, Result]], items: Iterable[Item]
 ) -> Generator[Result]:
-    """Keep a bounded number of items submitted, and hand on what they return."""
+    """Keep a bounded number of items submitted, and hand on what they return.
+
+    What lies with a silent worker is given to another: both make the same bytes.
+    """
     import distributed
 
-    shared = client.scatter(begin, broadcast=True, hash=False)
-    waiting = iter(items)
-    running = distributed.as_completed()
+    watched, waiting, looked_at = _Watched(client), iter(items), time.monotonic()
+    running: dict[Any, Item] = {}
+    finished: queue.SimpleQueue[Any] = queue.SimpleQueue()
+
+    def submit(item: Item) -> None:
+        chosen = list(watched.at_work) if watched.silent else None
+        future = client.submit(_work_on, shared, item, pure=False, workers=chosen)
+        running[future] = item
+        future.add_done_callback(finished.put)
+
     try:
+        shared = client.scatter(begin, broadcast=True, hash=False)
         while True:
-            most = _IN_FLIGHT * max(1, sum(client.nthreads().values()))
-            while running.count() < most and (item := next(waiting, None)) is not None:
-                running.add(client.submit(_work_on, shared, item, pure=False))
-            if running.count() == 0:
+            most = _IN_FLIGHT * max(1, sum(watched.at_work.values()))
+            while len(running) < most and (item := next(waiting, None)) is not None:
+                submit(item)
+            if not running:
                 return
-            future = next(running)
-            try:
-                results = future.result()
-            except distributed.KilledWorker as error:
-                raise VntError(
-                    "one block of frames ended several workers, one after the other (out of memory?); what "
-                    "is finished is on disk: run the same command again to go on"
-                ) from error
-            yield from results
+            future = None
+            with contextlib.suppress(queue.Empty):
+                future = finished.get(timeout=_SECONDS_BETWEEN_LOOKS)
+            if future in running:
+                del running[future]
+                yield from _results_of(future)
+            if time.monotonic() - looked_at > _SECONDS_BETWEEN_LOOKS:
+                watched.look()
+                looked_at = time.monotonic()
+                for lost in _left_with_silent(client, watched, running):
+                    submit(running.pop(lost))
+                    lost.cancel(force=True)
+    except (OSError, TimeoutError, distributed.client.FutureCancelledError) as error:
+        watched.look()
+        raise _gone("Dask's workers, and what they held for this run, are gone") from error
     finally:
-        client.cancel(list(running.futures), force=True)
+        if client.status == "running" and watched.at_work:
+            client.cancel(list(running), force=True)
+
+
+def _left_with_silent(client: Any, watched: _Watched, running: Mapping[Any, Any]) -> list[Any]:
+    """Return what was submitted, is not done, and lies with no worker that is at work."""
+    if not watched.silent or not watched.at_work:
+        return []
+    at_work = {
+        key for address, keys in client.processing().items() if address in watched.at_work for key in keys
+    }
+    return [future for future in running if not future.done() and future.key not in at_work]
+
+
+def _results_of(future: Any) -> Any:
+    import distributed
+
+    try:
+        return future.result()
+    except distributed.KilledWorker as error:
+        raise VntError(
+            "one block of frames ended several workers, one after the other (out of memory?); what is "
+            "finished is on disk: run the same command again to go on"
+        ) from error
 
 
 def _work_on(begin: Callable[[int | None], Work[Any, Any]], item: Any) -> list[Any]:

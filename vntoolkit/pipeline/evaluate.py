@@ -164,10 +164,13 @@ class CylinderFrameError:
 
 @dataclass(frozen=True, kw_only=True)
 class CylinderEvaluation:
-    """A sequence: mean and standard deviation over all pixels of all frames; radius as the fit states it."""
+    """A sequence: mean and standard deviation over all pixels of all frames; radius as the fit states it.
+
+    times_s: when each frame was filmed, from the first of them.
+    """
 
     radius: float
-    frame_rate_hz: float
+    times_s: tuple[float, ...]
     mean_deg: float
     std_deg: float
     frames: tuple[CylinderFrameError, ...]
@@ -255,7 +258,7 @@ def evaluate_cylinder(
     mean = total[1] / total[0]
     return CylinderEvaluation(
         radius=fits[0].radius,
-        frame_rate_hz=result.manifest.input.playing_rate_hz,
+        times_s=tuple(result.manifest.input.times_of([frame.frame for frame in frames]).tolist()),
         mean_deg=float(mean),
         std_deg=float(np.sqrt(max(total[2] / total[0] - mean**2, 0.0))),
         frames=tuple(frames),

@@ -11,22 +11,18 @@ import numpy as np
 
 from vntoolkit.arrays import Array, FloatArray, Vector3
 from vntoolkit.errors import BadInput, VntError
-from vntoolkit.geometry.camera import Camera
+from vntoolkit.geometry.camera import Camera, ViewedFrom
 from vntoolkit.geometry.maps import LengthUnit
 from vntoolkit.geometry.mesh import Mesh, vertex_normals
-from vntoolkit.geometry.skinned_clip import ViewedFrom
 from vntoolkit.io import atomic
 from vntoolkit.io.conventions import graphics_from_camera
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.light_files import remove_diligent, write_diligent
 from vntoolkit.io.maps_and_meshes.arrays import StreamedArray, write_npz
-from vntoolkit.io.maps_and_meshes.glb import write_glb
 from vntoolkit.io.maps_and_meshes.maps import write_normal_map
 from vntoolkit.io.maps_and_meshes.meshes import write_material, write_mesh, write_point_cloud
-from vntoolkit.io.maps_and_meshes.usd import write_usd_meshes, write_usd_sequence
+from vntoolkit.io.maps_and_meshes.texture import SurfaceTexture
 from vntoolkit.io.results.folder import FolderKind, begin_run, read_lock, write_lock
-from vntoolkit.meshing.clean import clean_mesh
-from vntoolkit.meshing.surface import point_cloud_from_depth
 from vntoolkit.options.export import (
     ExportedSurface,
     ExportFormat,
@@ -35,8 +31,7 @@ from vntoolkit.options.export import (
 )
 from vntoolkit.pipeline.opened_result import OpenedResult, TrackedSurface, open_result
 from vntoolkit.pipeline.options import option_values
-from vntoolkit.pipeline.texture import SurfaceTexture, texture_of_tracks
-from vntoolkit.pipeline.tracked_folder import colours_at
+from vntoolkit.pipeline.texture_files import colours_from_texture, texture_of_tracks
 
 _MATERIAL = "surface.mtl"  # of all frames in a folder of OBJ files
 Advance = Callable[[], None]
@@ -53,7 +48,7 @@ class ExportJob:
     """
 
     folder: Path
-    options: "ExportOptions"
+    options: ExportOptions
     out: Path | None = None
     frames: FrameRange | None = None
     footage: str = ""
@@ -102,7 +97,7 @@ def _export(
     return _export_folder(job, result, track, overwrite, on_start, on_frame)
 
 
-def _track_of(result: OpenedResult, options: "ExportOptions") -> TrackedSurface | None:
+def _track_of(result: OpenedResult, options: ExportOptions) -> TrackedSurface | None:
     if options.mesh is ExportedSurface.FRAMES:
         return None
     if options.cleaning is not None and result.track is not None:
@@ -119,13 +114,14 @@ def _export_animation(
     on_start: Callable[[int, int], None],
     on_frame: Advance,
 ) -> ExportSummary:
-    options, rate = job.options, result.manifest.input.playing_rate_hz
+    options, filmed = job.options, result.manifest.input
     suffix = ".glb" if options.to is ExportFormat.GLB else ".usdc"
     out = job.out or result.folder.root / "export" / f"surface{suffix}"
     if out.suffix.lower() not in ((".glb",) if suffix == ".glb" else (".usdc", ".usd")):
         raise BadInput(f"{out}: expected the name of a file that ends in {suffix}")
     lengths = file_lengths(options, result.length_unit)
     numbers = numbers_with_mesh(result, track)
+    rate, times_s = filmed.rate_of(numbers), filmed.times_of(numbers)
     atomic.require_writable_folder(out.parent)  # and remove what a killed run left there
     on_start(len(numbers), 0)
 
@@ -134,9 +130,16 @@ def _export_animation(
         return thing
 
     if track is None:
+        from vntoolkit.io.maps_and_meshes.usd import write_usd_meshes
+
         own = (passing(own_mesh(result, n, options, lengths.factor)) for n in numbers)
         count = write_usd_meshes(
-            out, own, frame_rate_hz=rate, metres_per_unit=lengths.metres_per_unit, up=options.up
+            out,
+            own,
+            frame_rate_hz=rate,
+            times_s=times_s,
+            metres_per_unit=lengths.metres_per_unit,
+            up=options.up,
         )
         return ExportSummary(out=out, frames=count, kept=0, is_tracked=False)
     rows = [track.numbers.index(n) for n in numbers]
@@ -146,23 +149,29 @@ def _export_animation(
     template = with_captured_colours(track, result, texture)
     camera = viewed_from(result.camera, offset)
     if options.to is ExportFormat.GLB:
-        embedded = None if texture is None else texture.content
-        count = write_glb(out, template, moving, frame_rate_hz=rate, camera=camera, texture=embedded)
+        from vntoolkit.io.maps_and_meshes.glb import write_glb
+
+        count = write_glb(
+            out, template, moving, frame_rate_hz=rate, times_s=times_s, camera=camera, texture=texture
+        )
     else:
+        from vntoolkit.io.maps_and_meshes.usd import write_usd_sequence
+
         count = write_usd_sequence(
             out,
             template,
             moving,
             frame_rate_hz=rate,
+            times_s=times_s,
             metres_per_unit=lengths.metres_per_unit,
             up=options.up,
             camera=camera,
-            texture=None if texture is None else texture.beside(out).names,
+            texture=None if texture is None else texture.beside(out),
         )
     return ExportSummary(out=out, frames=count, kept=0, is_tracked=True, offset=offset)
 
 
-def offset_of(track: TrackedSurface, options: "ExportOptions", factor: float) -> Vector3:
+def offset_of(track: TrackedSurface, options: ExportOptions, factor: float) -> Vector3:
     """Return (3,): what puts the template's middle above the origin and its lowest point on the floor."""
     if not options.centre:
         return np.zeros(3)
@@ -176,12 +185,14 @@ def with_captured_colours(
 ) -> Mesh:
     """Return the template with the colours of its texture, else those that its own frame has there."""
     template = track.sequence.template
-    albedo = None if texture is None else texture.colours(template)
+    albedo = colours_from_texture(texture, template)
     if albedo is not None:
         return replace(template, colours=albedo)
     own = result.mesh(track.template)
     if template.colours is not None or own is None or own.colours is None:
         return template
+    from vntoolkit.pipeline.tracked_folder import colours_at
+
     return replace(template, colours=colours_at(track.mesh(track.template).vertices, own))
 
 
@@ -295,6 +306,8 @@ def own_mesh(result: OpenedResult, number: int, options: ExportOptions, factor: 
     if mesh is None:
         raise BadInput(f"frame {number}: its mesh has vanished")
     if options.cleaning is not None:
+        from vntoolkit.meshing.clean import clean_mesh
+
         mesh = clean_mesh(mesh, options.cleaning)
     return replace(mesh, vertices=mesh.vertices * factor)
 
@@ -389,6 +402,8 @@ class _Meshes(FrameExport):
         if self._texture is not None and self.options.to is ExportFormat.OBJ:
             material = self._material(out)
         if self.options.to is ExportFormat.GLB:
+            from vntoolkit.io.maps_and_meshes.glb import write_glb
+
             rate = self.result.manifest.input.playing_rate_hz
             camera = viewed_from(self.result.camera, self.offset)
             write_glb(path, mesh, iter([mesh.vertices]), frame_rate_hz=rate, camera=camera)
@@ -399,8 +414,8 @@ class _Meshes(FrameExport):
         """Write the material that all frames share, once; return its name."""
         path = out / _MATERIAL
         if self._texture is not None and not self._has_material:
-            names = self._texture.beside(path).names
-            write_material(path, names.albedo, names.normal)
+            beside = self._texture.beside(path)
+            write_material(path, beside.albedo, beside.normal)
             self._has_material = True
         return path.name
 
@@ -425,6 +440,8 @@ class _PointClouds(FrameExport):
         return [self.result.folder.file(kind, number) for kind in ("normals", "depth")]
 
     def write(self, out: Path, number: int) -> None:
+        from vntoolkit.meshing.surface import point_cloud_from_depth
+
         depth_map = self.result.depth(number)
         assert depth_map is not None
         try:
@@ -478,7 +495,8 @@ class _Diligent(FrameExport):
         result.capture  # noqa: B018 - refused before anything is written
         lights = result.rig.response.lights
         strengths: FloatArray = np.linalg.norm(lights, axis=1)
-        albedo = result.manifest.known.relative_albedo or 1.0
+        known = result.manifest.known
+        albedo = 1.0 if known.materials else known.relative_albedo or 1.0
         self._scale = _HEADROOM * max(1.0, float(albedo)) * float(strengths.max())
         self._directions = lights / strengths[:, None]
         self._intensities = np.repeat(strengths[:, None] / self._scale, 3, axis=1)
@@ -557,7 +575,7 @@ def arrays_of_frame(
 def write_tracked_npz(
     path: Path, track: TrackedSurface, numbers: tuple[int, ...], options: ExportOptions, factor: float
 ) -> None:
-    """Write the registered surface: vertices (frames, n, 3), faces, uv, uncertainty_px, frames,
+    """Write the registered surface: vertices (frames, n, 3), faces, uv, uncertainty_px, frames, times_s,
     frame_rate_hz."""
     wanted = set(numbers)
     rows = [row for row, number in enumerate(track.numbers) if number in wanted]
@@ -570,6 +588,7 @@ def write_tracked_npz(
         "faces": template.faces,
         "frames": np.array([track.numbers[row] for row in rows]),
         "frame_rate_hz": np.array(sequence.frame_rate_hz),
+        "times_s": sequence.instants_s[rows],
         "up": np.array(options.up.value),
     }
     arrays |= {name: v for name, v in (("uv", template.uv), ("colours", template.colours)) if v is not None}

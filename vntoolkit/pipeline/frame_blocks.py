@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from vntoolkit.errors import VntError
+from vntoolkit.errors import NoSubject, VntError
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.io.footage.decoding import EncodedFrame
 from vntoolkit.io.results.frame_log import FrameEntry
@@ -54,7 +54,7 @@ class FrameBlockProcessor:
         )
         overlap = self._processor.finds_shadows and threads > 1 and loops_may_overlap()
         self._lanes = 2 if overlap else 1  # frames whose normals are found at a time
-        self._carried = Carried()
+        self._carried = Carried(albedo=None if request.is_of_gel else known.relative_albedo)
         if options.ties_depth or known.materials:
             at = known.reference_frame
             with contextlib.suppress(VntError):  # where it is met as a frame, it is reported
@@ -128,28 +128,38 @@ class FrameBlockProcessor:
         try:
             done = work(before)
         except VntError as error:
-            if self._options.on_error is OnError.STOP:
+            if self._options.on_error is OnError.STOP and not isinstance(error, NoSubject):
                 raise
-            done = replace(before, prepared=None, result=None, failure=str(error))
+            nothing = isinstance(error, NoSubject)
+            done = replace(before, prepared=None, result=None, failure=str(error), shows_nothing=nothing)
         return replace(done, seconds=before.seconds + time.perf_counter() - started)
 
     def _written(self, done: _FrameAtWork) -> FrameEntry:
         started = time.perf_counter()
         if done.result is None:
-            return FrameEntry(number=done.frame.number, seconds=done.seconds, failure=done.failure)
+            return FrameEntry(
+                number=done.frame.number,
+                seconds=done.seconds,
+                failure=done.failure,
+                shows_nothing=done.shows_nothing,
+            )
         self._request.folder.write(done.result)
         return record_of(done.result, done.seconds + time.perf_counter() - started)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _FrameAtWork:
-    """What a frame became so far, None for what failed; the seconds spent on it; and why it failed."""
+    """What a frame became so far, None for what failed; the seconds spent on it; and why it failed.
+
+    shows_nothing: it failed because no subject is in sight.
+    """
 
     frame: EncodedFrame
     prepared: PreparedFrame | None = None
     result: FrameResult | None = None
     seconds: float = 0.0
     failure: str = ""
+    shows_nothing: bool = False
 
 
 def record_of(result: FrameResult, seconds: float) -> FrameEntry:

@@ -9,9 +9,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from vntoolkit.arrays import BoolArray, Colours, FloatArray, LinearImage, Mask
+from vntoolkit.arrays import (
+    BoolArray,
+    Box,
+    Colours,
+    FloatArray,
+    LinearImage,
+    Mask,
+    MaterialLabels,
+    box_of,
+)
 from vntoolkit.checks import require_shape
-from vntoolkit.errors import BadCapture, BadInput
+from vntoolkit.errors import BadInput, NoSubject
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
 from vntoolkit.io.footage.decoding import EncodedFrame, linear_frame_from_encoded, resampler_of
 from vntoolkit.io.results.manifest import MaterialEntry
@@ -21,7 +30,7 @@ from vntoolkit.normals.inversion import normals_from_encoded, normals_from_frame
 from vntoolkit.options.normals import ShadowMethod
 from vntoolkit.options.reconstruction import Product, ReconstructOptions
 from vntoolkit.photometry.frame import LinearFrame
-from vntoolkit.photometry.levelling import Box, leveller_of
+from vntoolkit.photometry.levelling import leveller_of
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import Transfer, TransferCurve, encoded_from_linear
 from vntoolkit.pipeline.outputs import FrameResult
@@ -29,7 +38,6 @@ from vntoolkit.pipeline.outputs import FrameResult
 if TYPE_CHECKING:
     from vntoolkit.integration.integrate import DepthAnchor, DepthIntegrator
     from vntoolkit.materials.labelling import FrameStatistics, LabelState, MaterialLabeller
-    from vntoolkit.materials.mixtures import MaterialLabels
 
 _SAMPLES = (slice(None, None, 4),) * 2  # these pixels tell how bright a subject is
 
@@ -38,11 +46,13 @@ _SAMPLES = (slice(None, None, 4),) * 2  # these pixels tell how bright a subject
 class Carried:
     """What one frame of a sequence hands to the next; all else of a frame is its own.
 
-    labels: of materials. integrator: has the solution that the next depth starts from. Of the reference
-    frame, for all others, None for none: statistics, what it told of materials' noise, blur and lengths;
-    anchor, the depth that they are tied to.
+    albedo: typical length of the subject's M⁻¹(r − a) in the frames that show it; None where each frame tells
+    its own, and none is empty. labels: of materials. integrator: has the solution that the next depth starts
+    from. Of the reference frame, for all others, None for none: statistics, what it told of materials' noise,
+    blur and lengths; anchor, the depth that they are tied to.
     """
 
+    albedo: float | None = None
     labels: LabelState | None = None
     statistics: FrameStatistics | None = None
     integrator: DepthIntegrator | None = None
@@ -97,6 +107,7 @@ class FrameProcessor:
         self._resampler = resampler_of(rig)
         self.camera = rig.camera.without_distortion()
         filmed = rig.footage_size[::-1]
+        self._filmed_mask = mask
         if mask is not None:
             require_shape(mask, filmed, "mask")
         self.whole_mask = self._resampler.mask(np.ones(filmed, dtype=np.bool_) if mask is None else mask)
@@ -146,7 +157,7 @@ class FrameProcessor:
         """Take one frame from stored samples to linear RGB, normals, depth and a mesh, as the options say.
 
         matte: (h, w) pixels of interest of this frame, as filmed; None for those of every frame. carried:
-        from the frame before; None for a frame alone. Raises `BadCapture` where it has no usable pixel.
+        from the frame before; None for a frame alone. Raises `NoSubject` where it has no usable pixel.
         """
         carried = carried or Carried()
         prepared = self.prepared(frame, matte, carried)
@@ -182,7 +193,7 @@ class FrameProcessor:
         if linear is None or materials is None or self._labeller is None or carried.labels is None:
             return PreparedFrame(frame=frame, mask=mask, linear=linear)
         linear, turned_deg, carried.labels = self._labeller.relit(
-            linear, materials, carried.labels, mask, _box_of(mask)
+            linear, materials, carried.labels, mask, box_of(mask)
         )
         errors_deg = np.array([each.error_deg for each in self._materials])
         bounds_deg = (expected_error.OF_ANGLE * errors_deg).astype(np.float32)
@@ -198,6 +209,8 @@ class FrameProcessor:
         """Return pixels of interest, linear light, None where one loop does all, and materials."""
         require_shape(frame.values, (*self._rig.footage_size[::-1], 3), frame.name)
         mask = self._mask_of(matte)
+        if carried.albedo is not None and self.albedo_in(frame, matte, carried.albedo) is None:
+            raise _no_subject(frame.name)
         if self._is_plain(frame):
             return mask, None, None
         linear = self.linear(frame)
@@ -205,7 +218,7 @@ class FrameProcessor:
             return mask, linear, None
         from vntoolkit.materials.labelling import LabelState
 
-        mask = self.lit_subject(linear, mask)
+        mask = self.lit_subject(linear, mask, carried.albedo)
         before = carried.labels or LabelState(statistics=carried.statistics)
         labels, carried.labels = self._labeller.labels(linear, mask, before)
         return mask, linear, labels
@@ -217,6 +230,17 @@ class FrameProcessor:
         """Decode a frame to linear light, background removed, lens distortion taken out."""
         decoded = linear_frame_from_encoded(frame, self._rig.transfer, self._background)
         return self._resampler.frame(decoded)
+
+    def albedo_in(self, frame: EncodedFrame, matte: Mask | None, usual: float) -> float | None:
+        """Return the typical length of the subject's M⁻¹(r − a) in a frame; None where it shows none.
+
+        usual: in the frames that show it.
+        """
+        from vntoolkit.diagnosis.subject import albedo_in_blocks
+
+        mask = self._filmed_mask if matte is None else matte
+        least = self._options.inversion.darkest * usual
+        return albedo_in_blocks(frame, self._rig.transfer, self._central, least, self._background, mask)
 
     def _is_plain(self, frame: EncodedFrame) -> bool:
         """True where the kernel that decodes and inverts in one pass may be used."""
@@ -231,14 +255,17 @@ class FrameProcessor:
         """
         return linear if self._leveller is None else self._leveller.frame_by_strength(linear, box)
 
-    def lit_subject(self, linear: LinearFrame, mask: Mask | None = None) -> Mask:
-        """Return (h, w), the pixels of interest without the backdrop, whose noise is like dark paint."""
+    def lit_subject(self, linear: LinearFrame, mask: Mask | None = None, albedo: float | None = None) -> Mask:
+        """Return (h, w), the pixels of interest without the backdrop, whose noise is like dark paint.
+
+        albedo: of the subject in the frames that show it; None for what this one tells.
+        """
         from vntoolkit.shadows.contributions import brighter_than
 
         mask = self.whole_mask if mask is None else mask
         sampled = LinearFrame(rgb=linear.rgb[_SAMPLES], clipped=linear.clipped[_SAMPLES])
         try:
-            albedo = relative_albedo_from_frame(sampled, self._central, mask[_SAMPLES])
+            albedo = albedo or relative_albedo_from_frame(sampled, self._central, mask[_SAMPLES])
         except BadInput:  # all is black
             return np.zeros_like(mask)
         return brighter_than(linear, self._central, self._options.inversion.darkest * albedo, mask)
@@ -249,10 +276,7 @@ class FrameProcessor:
         """Return normals, and visibility labels where shadows are looked for."""
         result = self._normals(prepared)
         if not result.normal_map.mask.any():
-            raise BadCapture(
-                f"{prepared.frame.name}: no usable pixel: all are black, clipped or outside the mask; "
-                "look at exposure, mask and rig"
-            )
+            raise _no_subject(prepared.frame.name)
         return result
 
     def _normals(self, prepared: PreparedFrame) -> FrameResult:
@@ -264,9 +288,9 @@ class FrameProcessor:
             return _result(prepared, self._gel.normals(linear, mask), clipped_share)
         labels, lamps, level = None, None, linear
         if self._leveller is not None and (self._shadows is not None or self._with_errors):
-            level = self._leveller.frame(linear, _box_of(mask))
+            level = self._leveller.frame(linear, box_of(mask))
         if self._shadows is not None:
-            by_strength = self.by_strength(linear, None if self._leveller is None else _box_of(mask))
+            by_strength = self.by_strength(linear, None if self._leveller is None else box_of(mask))
             normal_map, labels, lamps = self._shadows.normals(level, by_strength, mask)
         else:
             normal_map = normals_from_frame(linear, self._rig.response, mask, options=self._options.inversion)
@@ -301,7 +325,7 @@ class FrameProcessor:
         assert self._shadows is not None
         linear, mask = self.linear(frame), self._mask_of(matte)
         level = linear if self._leveller is None else self._leveller.frame(linear)
-        by_strength = self.by_strength(linear, None if self._leveller is None else _box_of(mask))
+        by_strength = self.by_strength(linear, None if self._leveller is None else box_of(mask))
         return self._shadows.unlit_by_lamp(level, by_strength, mask)
 
     # Normals → depth → mesh. Frames come in order.
@@ -331,13 +355,14 @@ class FrameProcessor:
         return replace(result, mesh=mesh)
 
     def _integrated(self, result: FrameResult, carried: Carried) -> DepthMap:
-        from vntoolkit.integration.cast_shadows import steps_from_shadows
         from vntoolkit.integration.integrate import DepthIntegrator
-        from vntoolkit.integration.slopes import rays_from_camera
 
         carried.integrator = carried.integrator or DepthIntegrator(self.camera, self._options.integration)
         steps, lamps = None, result.lamps
         if lamps is not None and result.labels is not None:
+            from vntoolkit.integration.cast_shadows import steps_from_shadows
+            from vntoolkit.integration.slopes import rays_from_camera
+
             rays = rays_from_camera(self.camera)
             steps = steps_from_shadows(result.normal_map, result.labels, lamps.at, lamps.doubts, rays)
         return carried.integrator.integrate(result.normal_map, steps)
@@ -373,10 +398,11 @@ class FrameProcessor:
         return self._resampler.frame(LinearFrame(rgb=shown, clipped=nothing)).rgb
 
 
-def _box_of(mask: Mask) -> Box:
-    from vntoolkit.materials.split_frame import box_of
-
-    return box_of(mask)
+def _no_subject(name: str) -> NoSubject:
+    return NoSubject(
+        f"{name}: no subject in sight: all pixels are black, clipped or outside the mask; look at exposure, "
+        "mask and rig"
+    )
 
 
 def _result(prepared: PreparedFrame, normal_map: NormalMap, clipped_share: float) -> FrameResult:

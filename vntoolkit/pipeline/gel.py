@@ -10,8 +10,7 @@ import numpy as np
 from vntoolkit.arrays import Array, FloatArray, Mask, Normals, read_only
 from vntoolkit.diagnosis.finding import Finding, judge
 from vntoolkit.diagnosis.gel_checks import check_background, check_channels, check_light, check_raised
-from vntoolkit.diagnosis.inspection import require_exposed
-from vntoolkit.errors import BadInput
+from vntoolkit.errors import BadCapture, BadInput
 from vntoolkit.geometry.maps import DepthMap
 from vntoolkit.io.footage.captures import Capture, CaptureOptions, open_capture
 from vntoolkit.io.footage.decoding import EncodedFrame, linear_frame_from_encoded, resampler_of
@@ -26,6 +25,7 @@ from vntoolkit.tactile.session import colours_by_place
 
 _MM = 1000.0  # per metre
 _FRAMES_COMPARED = 5
+_BLACK, _CLIPPED_WHOLLY = 0.01, 0.98  # of full scale; of the pixels
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -110,6 +110,19 @@ class Gel:
 
     def _linear(self, frame: EncodedFrame) -> LinearFrame:
         return linear_frame_from_encoded(frame, self.rig.transfer)
+
+
+def require_exposed(frame: LinearFrame, name: str) -> None:
+    """Raise `BadCapture` for a frame that is black or clipped all over."""
+    brightest = float(frame.rgb.max(initial=0.0))
+    if brightest < _BLACK:
+        raise BadCapture(
+            f"{name} is black: its brightest value is {brightest:.2%} of full scale; are the lights on and "
+            "the lens open?"
+        )
+    share = float(frame.clipped.mean())
+    if share > _CLIPPED_WHOLLY:
+        raise BadCapture(f"{name} is clipped at {share:.0%} of its pixels: lower the exposure and film again")
 
 
 def findings_from_background(rig: Rig, background: LinearFrame) -> list[Finding]:

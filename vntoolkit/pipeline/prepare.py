@@ -12,16 +12,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vntoolkit.arrays import Mask
-from vntoolkit.diagnosis.finding import Level, judge
-from vntoolkit.diagnosis.inspection import Examination, examine_capture
+from vntoolkit.diagnosis.finding import Finding, Level, judge
 from vntoolkit.errors import BadCapture, BadInput
-from vntoolkit.io.results.manifest import FindingEntry, Known, MaterialEntry
+from vntoolkit.io.results.manifest import Known, MaterialEntry
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline.frame_processor import FrameProcessor
+from vntoolkit.pipeline.recorded_findings import entries_of
 from vntoolkit.pipeline.request import Footage, Request, seeks_materials
 
 if TYPE_CHECKING:
+    from vntoolkit.diagnosis.inspection import Examination
     from vntoolkit.materials.labelling import FrameStatistics
 
 logger = logging.getLogger(__name__)
@@ -34,9 +35,10 @@ def prepare(request: Request, footage: Footage, numbers: Sequence[int]) -> Known
     """Find what holds for the frames `numbers`; log what is wrong.
 
     Raises `FatalFinding` for what ruins normals, `BadInput` for a reference frame that is not there and for
-    materials that cannot be told, `BadCapture` for a first frame that shows nothing.
+    materials that cannot be told, `BadCapture` where no frame shows a subject.
     """
     options, rig = request.effective_options, request.rig
+    numbers, steps = _surveyed(request, footage, numbers)
     found: dict[str, object] = {"reference_frame": _reference_frame(request, footage, numbers)}
     examined = _examined(request, rig, footage, numbers)
     _judge(request, examined, fatal_alone=seeks_materials(rig, options))
@@ -47,22 +49,27 @@ def prepare(request: Request, footage: Footage, numbers: Sequence[int]) -> Known
         assert doubts_deg is not None
         found |= {"light_colours": colours.tolist(), "light_doubts_deg": doubts_deg.tolist()}
     materials: list[MaterialEntry] = []
-    seen = None
+    seen, seeks = None, seeks_materials(rig, options)
     if not request.is_of_gel:
+        from vntoolkit.pipeline.rig_material import measured_brightness
+
+        found["relative_albedo"], warn_of_other = measured_brightness(rig, options, footage, numbers)
+    if seeks:
         from vntoolkit.pipeline.measured_materials import measured_materials
 
-        measured = measured_materials(rig, options, footage, numbers, lamps_in_words)
+        measured = measured_materials(rig, options, footage, numbers)
         materials, seen = measured.entries, measured.seen
-        found |= {"relative_albedo": measured.relative_albedo}
-    if seeks_materials(rig, options):
-        if materials:
-            told = None if seen is None else seen.state.statistics
-            examined = _examined(request, rig, footage, numbers, materials, told)
+    if materials:
+        told = None if seen is None else seen.state.statistics
+        examined = _examined(request, rig, footage, numbers, materials, told)
+    elif not request.is_of_gel:
+        warn_of_other(lamps_in_words)
+    if seeks:
         _judge(request, examined)
     found |= {"blur_px": round(examined.blur_px, _DIGITS_OF_BLUR)}
     if rig.response.variation is None and not request.is_of_gel:
         found |= {"nearness": round(examined.nearness, _DIGITS_OF_NEARNESS)}
-    findings = [FindingEntry(check=f.check, level=f.level.value, text=f.text) for f in examined.findings]
+    findings = entries_of([*steps, *examined.findings])
     known = Known.model_validate(found | {"findings": findings, "materials": materials})
     near = known.with_rig(request.rig)
     if seen is None or near.response.variation is None:
@@ -71,6 +78,32 @@ def prepare(request: Request, footage: Footage, numbers: Sequence[int]) -> Known
 
     again = refitted_materials(near, options, materials, footage, numbers, seen)
     return known.model_copy(update={"materials": again})
+
+
+def _surveyed(
+    request: Request, footage: Footage, numbers: Sequence[int]
+) -> tuple[Sequence[int], list[Finding]]:
+    """Return frames that show the subject and were filmed alike, and what changes between frames at once."""
+    there = footage.usable(numbers)
+    if request.is_of_gel or not there:
+        return numbers, []
+    from vntoolkit.diagnosis.steps import steps_of
+    from vntoolkit.diagnosis.subject import survey_of
+
+    try:
+        survey = survey_of(footage.capture, footage.mattes, there)
+    except BadCapture as problem:  # a bad frame is reported when its turn comes
+        logger.debug("frames not surveyed: %s", problem)
+        return numbers, []
+    if not survey.shown:
+        raise BadCapture(
+            f"{footage.capture.name}: no frame shows a subject: all that was looked at is black; are the "
+            "lamps on, the lens open and the mask on the subject?"
+        )
+    steps = steps_of(survey, request.rig.response)
+    judge(steps.findings, request.allow)
+    alike = survey.frames_like(steps.alike, there)
+    return numbers if len(alike) == len(there) else alike, steps.findings
 
 
 def _reference_frame(request: Request, footage: Footage, numbers: Sequence[int]) -> int:
@@ -107,11 +140,13 @@ def _examined(
     numbers: Sequence[int],
     materials: Sequence[MaterialEntry] = (),
     told: "FrameStatistics | None" = None,
-) -> Examination:
+) -> "Examination":
     """Return what the footage tells of mistakes, with each of the materials taken for the rig's.
 
     told: of the first frame, as materials were measured on it.
     """
+    from vntoolkit.diagnosis.inspection import Examination, examine_capture
+
     calibrated = rig if request.calibrated is None else replace(rig, transfer=request.calibrated)
     try:
         mask, judged = footage.mattes.judged(footage.capture, numbers)
@@ -130,7 +165,7 @@ def _examined(
     return examined
 
 
-def _judge(request: Request, examined: Examination, *, fatal_alone: bool = False) -> None:
+def _judge(request: Request, examined: "Examination", *, fatal_alone: bool = False) -> None:
     """Log findings; raise `FatalFinding` for one that ruins normals.
 
     fatal_alone: what is less is judged once materials are known. No material excuses what is fatal.

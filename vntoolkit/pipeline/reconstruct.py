@@ -7,15 +7,20 @@ from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vntoolkit.errors import BadInput
+from vntoolkit.diagnosis.empty_frames import finding_from_empty_frames
+from vntoolkit.diagnosis.finding import judge
+from vntoolkit.errors import BadCapture, BadInput
 from vntoolkit.io.atomic import remove_leftovers, require_apart, write_text
 from vntoolkit.io.footage.captures import CaptureInfo
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.footage.mattes import require_mattes
 from vntoolkit.io.footage.sequence import text_of_names
+from vntoolkit.io.maps_and_meshes.label_images import write_mask
+from vntoolkit.io.maps_and_meshes.maps import read_normal_map
 from vntoolkit.io.results import manifest as manifests
 from vntoolkit.io.results.folder import begin_run, numbers_in_words, require_same_request, write_lock
 from vntoolkit.io.results.frame_log import FrameEntry, FrameLog
@@ -25,14 +30,17 @@ from vntoolkit.options.footage import Gaps
 from vntoolkit.pipeline.frame_blocks import Block, begin_blocks
 from vntoolkit.pipeline.prepare import prepare
 from vntoolkit.pipeline.processes import map_in_processes
-from vntoolkit.pipeline.recorded_findings import recorded_warnings, without_repeats
+from vntoolkit.pipeline.recorded_findings import entries_of, recorded_warnings, without_repeats
 from vntoolkit.pipeline.request import Footage, Request
+
+if TYPE_CHECKING:
+    from vntoolkit.diagnosis.backdrop import Backdrop
 
 logger = logging.getLogger(__name__)
 Started = Callable[[int, int], None]
 Finished = Callable[[FrameEntry], None]
 BLOCK_FRAMES = 16
-_LARGE_ERROR_DEG = 20.0  # in the median, as of pixels that one light hardly reaches
+_WORST = 90.0  # percentile over the frames: the median would hide a third that is wrong
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,8 +49,8 @@ class ReconstructionSummary:
 
     lost: frames asked for that the video declares but does not hold. declared, came: frames that it
     declares, and that can be read. error_deg: expected error of the normals, the median over the
-    pixels and then over the frames asked for; None where it is not known. found_lamps: whether the lamps'
-    colours, which the rig does not hold, were found in the subject's shadows.
+    pixels of a frame, and of the frames the least of the worst tenth; None where not known. found_lamps:
+    whether the lamps' colours, which the rig does not hold, were found in the subject's shadows.
     """
 
     folder: Path
@@ -123,6 +131,11 @@ def _checked_footage(request: Request, frames: FrameRange, jobs: int, scheduler:
         from vntoolkit.pipeline.cluster import require_scheduler
 
         require_scheduler(scheduler)
+    if info.unusable_times:
+        logger.warning(
+            "%s: %s; the frames are played at %g per second: give --frame-rate-hz with the rate that they "
+            "were filmed at", request.source, info.unusable_times, info.frame_rate_hz,
+        )  # fmt: skip
     if info.left_out:
         names = text_of_names([path.name for path in info.left_out])
         logger.warning("%s: left out, since the frames are named otherwise: %s", request.source, names)
@@ -266,6 +279,8 @@ def _ended(
     seconds: float,
 ) -> ReconstructionSummary:
     """Write what the frames took, how good they are and what was wrong; return what the run did."""
+    from vntoolkit.diagnosis.backdrop import LARGE_ERROR_DEG
+
     root, info = run.request.folder.root, footage.capture.info
     entries = run.log.entries()
     of_run = [entries[n] for n in run.numbers if n in entries]
@@ -275,14 +290,20 @@ def _ended(
     spent = [entry.seconds for entry in done]
     timings = {"frame_s": float(np.median(spent)) if spent else 0.0, "wall_s": round(seconds, 3)}
     errors = [entry.error_deg for entry in done if entry.error_deg is not None]
-    error_deg = round(float(np.median(errors)), 2) if errors else None
-    if error_deg is not None and error_deg > _LARGE_ERROR_DEG:
+    error_deg = round(float(np.percentile(errors, _WORST, method="higher")), 2) if errors else None
+    own = []
+    if (backdrop := _backdrop(run, done)) is not None:
+        own.append(backdrop.finding)
+        error_deg = round(backdrop.subject_deg, 2)
+    if error_deg is not None and error_deg > LARGE_ERROR_DEG:
         logger.warning(
             "the expected error of the normals, which nine of ten stay within, is %.0f degrees in the median "
-            "(usual: below %.0f): noise, gloss, near lamps or another colour than the rig's; `vntoolkit "
-            "doctor` names what it finds, `vntoolkit report` shows where",
-            error_deg, _LARGE_ERROR_DEG,
+            "of the worst frames (usual: below %.0f): noise, gloss, near lamps or another colour than the "
+            "rig's; `vntoolkit doctor` names what it finds, `vntoolkit report` shows where",
+            error_deg, LARGE_ERROR_DEG,
         )  # fmt: skip
+    if of_run and all(entry.shows_nothing for entry in of_run):
+        raise BadCapture(of_run[0].failure)
     failed = [entry for entry in made if entry.failure]
     summary = ReconstructionSummary(
         folder=root,
@@ -297,17 +318,39 @@ def _ended(
         error_deg=error_deg,
         found_lamps=run.known.light_colours is not None,
     )
-    findings = [finding for finding in warnings if finding.text not in {f.text for f in run.known.findings}]
+    told = {finding.text for finding in run.known.findings}
+    findings = [finding for finding in warnings if finding.text not in told]
     findings += [
         FindingEntry(check="skipped", level="warning", text=f"skipped: {entry.failure}", frame=entry.number)
         for entry in of_run
-        if entry.failure
+        if entry.failure and not entry.shows_nothing
     ]
+    if empty := [entry.number for entry in of_run if entry.shows_nothing]:
+        own.append(finding_from_empty_frames(empty, len(of_run)))
+    judge(own)
+    findings = [*entries_of(own), *findings]
     if summary.loss:
         findings.append(FindingEntry(check="cut-off", level="warning", text=summary.loss))
     ended = {"finished": manifests.now_utc(), "timings": timings, "error_deg": error_deg}
     manifests.write_manifest(root, run.manifest.model_copy(update=ended | {"findings": findings}))
     return summary
+
+
+def _backdrop(run: _Run, done: Sequence[FrameEntry]) -> "Backdrop | None":
+    """Find a backdrop that counts as subject in the frame of the largest expected error; write a mask."""
+    from vntoolkit.diagnosis.backdrop import MASK_NAME, backdrop_in
+
+    request, errors = run.request, [entry.error_deg or 0.0 for entry in done]
+    masked = request.mask is not None or request.matting.key is not None
+    if masked or request.is_of_gel or max(errors, default=0.0) <= 0.0:
+        return None
+    worst = done[int(np.argmax(errors))].number
+    if not request.folder.has(worst, "normals"):
+        return None
+    backdrop = backdrop_in(read_normal_map(request.folder.file("normals", worst)))
+    if backdrop is not None:
+        write_mask(request.folder.root / MASK_NAME, backdrop.subject)
+    return backdrop
 
 
 def write_contacts(root: Path, log: FrameLog) -> None:

@@ -1,9 +1,10 @@
 """What a run warns of, kept beside being said: nothing goes to the terminal alone."""
 
 import logging
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 
+from vntoolkit.diagnosis.finding import Finding
 from vntoolkit.io.results.manifest import FindingEntry
 
 
@@ -29,6 +30,11 @@ class _Recorder(logging.Handler):
         if text not in {finding.text for finding in self.found}:
             check = record.name.rpartition(".")[2].replace("_", "-")
             self.found.append(FindingEntry(check=check, level="warning", text=text))
+
+
+def entries_of(findings: Iterable[Finding]) -> list[FindingEntry]:
+    """Return findings as the manifest holds them."""
+    return [FindingEntry(check=f.check, level=f.level.value, text=f.text) for f in findings]
 
 
 def without_repeats(*groups: list[FindingEntry]) -> list[FindingEntry]:

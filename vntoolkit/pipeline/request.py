@@ -38,10 +38,11 @@ class Footage:
 class Request:
     """Footage, rig, options and folder of a reconstruction.
 
-    source, gaps: as for `open_capture`. rig: its transfer is the footage's. calibrated: the curve that the
-    rig was calibrated with, None for the same. allow: checks whose fatal findings do not stop the run. mask:
-    image, or video, folder or pattern of mattes, or None. matting: how these become masks. background: file
-    or None. sensor: how samples of the sensor itself are read. limits: on what any process reads.
+    source, gaps, frame_rate_hz: as for `open_capture`. rig: its transfer is the footage's. calibrated: the
+    curve that the rig was calibrated with, None for the same. allow: checks whose fatal findings do not stop
+    the run. mask: image, or video, folder or pattern of mattes, or None. matting: how these become masks.
+    background: file or None. sensor: how samples of the sensor itself are read. limits: on what any process
+    reads.
     """
 
     source: str
@@ -52,6 +53,7 @@ class Request:
     matting: MatteOptions = field(default_factory=MatteOptions)
     background: Path | None = None
     gaps: Gaps = Gaps.REFUSE
+    frame_rate_hz: float | None = None
     calibrated: Transfer | None = None
     allow: tuple[str, ...] = ()
     sensor: SensorOptions = field(default_factory=SensorOptions)
@@ -73,7 +75,7 @@ class Request:
     def options_with(self, known: Known) -> ReconstructOptions:
         """Return the effective options with what was found."""
         options = self.effective_options
-        if known.relative_albedo is None:
+        if known.relative_albedo is None or known.materials:  # these are relit as the rig's own
             return options
         return replace(options, inversion=replace(options.inversion, relative_albedo=known.relative_albedo))
 
@@ -99,6 +101,7 @@ class Request:
             background=None if self.matting.key is not None else self.background,
             max_megapixels=self.limits.max_megapixels,
             gaps=self.gaps,
+            frame_rate_hz=self.frame_rate_hz,
             sensor=self.sensor,
             threads=threads,
         )

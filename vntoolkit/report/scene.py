@@ -6,6 +6,8 @@ raw RGBA or an image file, `own`, a grid of depths, and `registered`, the vertic
 the frame has them; for the faces of that mesh, the same in all frames, there is a packet with `mesh`.
 """
 
+import base64
+import hashlib
 import json
 import struct
 from collections.abc import Iterable, Mapping
@@ -188,7 +190,21 @@ def page_from_template(template: str, *, script: str, title: str, setup: Mapping
             "setup": data.replace("<", "\\u003c"),  # no end of the script in it
             "style": scene_text("scene.css"),
             "script": scene_text(script),
+            "policy": content_policy(script) if setup["mode"] == "file" else None,
         }
+    )
+
+
+@cache
+def content_policy(script: str) -> str:
+    """Return a policy by which a page's own script and style count alone, and nothing is fetched."""
+
+    def digest(name: str) -> str:
+        return base64.b64encode(hashlib.sha256(scene_text(name).encode()).digest()).decode()
+
+    return (
+        f"default-src 'none'; script-src 'sha256-{digest(script)}'; "
+        f"style-src 'sha256-{digest('scene.css')}'; img-src data:; base-uri 'none'; form-action 'none'"
     )
 
 

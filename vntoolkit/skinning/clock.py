@@ -36,7 +36,7 @@ def clock_from_recordings(cloth: MeshSequence, motion: Motion, options: ClockOpt
             f"and stop {stop:.3g} s"
         )
     rate = options.frame_rate_hz or cloth.frame_rate_hz
-    cloth_length = (len(cloth) - 1) / cloth.frame_rate_hz
+    cloth_length = float(cloth.instants_s[-1])
     duration = (stop - options.start) / options.speed
     if options.loop is Loop.NONE:
         duration = min(duration, cloth_length)
@@ -73,7 +73,8 @@ def resampled_motion(motion: Motion, times_s: FloatArray, frame_rate_hz: float) 
 
 def resampled_vertices(cloth: MeshSequence, times_s: FloatArray) -> Iterator[Points]:
     """Yield the cloth's vertices (n, 3) at each instant, linear between frames, one frame in memory."""
-    for a, b, s in zip(*_neighbours(times_s * cloth.frame_rate_hz, len(cloth)), strict=True):
+    positions = np.interp(times_s, cloth.instants_s, np.arange(len(cloth)))
+    for a, b, s in zip(*_neighbours(positions, len(cloth)), strict=True):
         here = np.array(cloth.vertices[a], dtype=np.float64)
         yield here if s == 0 else (1 - s) * here + s * np.asarray(cloth.vertices[b], dtype=np.float64)
 

@@ -20,6 +20,8 @@ _SEARCHED_PX = 120  # shorter side of the picture that is searched; the middle i
 _BLUR_PX = 1.0  # there: what is left of dots and grain is no dent
 _NOISE_FACTOR = 3.0  # changes below so many times the median are noise, and are shrunk to 0
 _SMALLEST_RADIUS_PX = 3
+_RAYS, _ROUNDS = 24, 8  # from the middle of a contact; of a robust fit
+_RIM_SOUGHT, _RIM_BLUR = (0.5, 1.6), 0.06  # of the radius
 _LEAST_SYMMETRY = 0.4  # 1 where all of the change is odd about the middle, 0 for one that is not at all
 
 
@@ -67,6 +69,32 @@ def find_contact_circle(change: LinearImage) -> FoundCircle | None:
     middle = (step - 1) / 2  # of a block of pixels
     press = Press(u_px=u * step + middle, v_px=v * step + middle, radius_px=radius * step)
     return FoundCircle(press=press, symmetry=symmetry)
+
+
+def aspect_of_contact(change: LinearImage, press: Press) -> float | None:
+    """Return how many times as high as wide a contact is, from its rim in all directions; None if unseen.
+
+    A ball's contact is a circle. The rim is where the odd part of the change is strongest along a ray.
+    """
+    angles = np.arange(_RAYS) * 2 * np.pi / _RAYS
+    radii = press.radius_px * np.arange(*_RIM_SOUGHT, 0.5 / press.radius_px)
+    u = (press.u_px + np.outer(np.cos(angles), radii)).astype(np.float32)
+    v = (press.v_px + np.outer(np.sin(angles), radii)).astype(np.float32)
+    smooth = cv2.GaussianBlur(change, (0, 0), max(_BLUR_PX, _RIM_BLUR * press.radius_px))
+    along = cv2.remap(smooth, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    odd = np.linalg.norm(along - np.roll(along, _RAYS // 2, axis=0), axis=2)
+    at = odd.argmax(axis=1)
+    inside = ((u >= 0) & (u < change.shape[1] - 1) & (v >= 0) & (v < change.shape[0] - 1)).all(axis=1)
+    seen = inside & np.roll(inside, _RAYS // 2) & (at > 0) & (at < len(radii) - 1)
+    if 2 * seen.sum() < _RAYS:
+        return None
+    design = np.column_stack([np.ones(_RAYS), np.cos(2 * angles), np.sin(2 * angles)])[seen]
+    logs, weight = np.log(radii[at][seen]), np.ones(int(seen.sum()))
+    for _ in range(_ROUNDS):
+        found = np.linalg.lstsq(design * weight[:, None], logs * weight, rcond=None)[0]
+        left = np.abs(logs - design @ found)
+        weight = 1.0 / np.sqrt(1.0 + (left / (2.0 * np.median(left) + 1e-6)) ** 2)
+    return float(np.exp(-2.0 * found[1]))
 
 
 def shrunk_change(change: LinearImage) -> LinearImage:

@@ -14,7 +14,7 @@ from vntoolkit.errors import BadCapture, BadInput, CannotWrite
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.io.atomic import write_bytes
 from vntoolkit.io.footage.captures import open_capture
-from vntoolkit.io.footage.images import read_grey, read_image, read_image_with_alpha, write_png
+from vntoolkit.io.footage.images import read_image, read_image_with_alpha, write_png
 from vntoolkit.io.footage.sequence import find_capture_files
 from vntoolkit.io.maps_and_meshes.exr import read_exr, write_exr
 from vntoolkit.io.maps_and_meshes.label_images import read_mask
@@ -36,7 +36,6 @@ def test_a_grey_exr_with_alpha_is_its_grey(tmp_path):
     grey = np.array([[0.25, 0.5]], np.float32)
     write_exr(tmp_path / "a.exr", {"Y": grey, "A": np.ones((1, 2), np.float32)})
     assert read_image(tmp_path / "a.exr")[..., 1].tolist() == grey.tolist()
-    assert read_grey(tmp_path / "a.exr").tolist() == grey.tolist()
     write_exr(tmp_path / "b.exr", {"Y": grey, "A": np.array([[1, 0.5]], np.float32)})
     with pytest.raises(BadCapture, match="not opaque at 1 pixels"):
         read_image(tmp_path / "b.exr")
@@ -129,12 +128,7 @@ def test_packed_samples_reach_full_scale(tmp_path, bits):
     assert frame.clipped.tolist() == (samples == full).any(axis=2).tolist()
 
 
-def test_tiff_that_would_be_misread_is_refused(tmp_path, rng):
-    for dtype in (np.uint8, np.uint16):
-        apart = rng.integers(0, 255, (3, 20, 30)).astype(dtype)
-        tifffile.imwrite(tmp_path / "a.tif", apart, photometric="rgb", planarconfig="separate")
-        with pytest.raises(BadCapture, match=r"a\.tif: stores its channels apart \(planar\), expected"):
-            read_image(tmp_path / "a.tif")
+def test_tiff_that_would_be_misread_is_refused(tmp_path):
     grey_and_alpha = np.full((20, 30, 2), 65535, np.uint16)
     tifffile.imwrite(tmp_path / "a.tif", grey_and_alpha, photometric="minisblack", planarconfig="contig")
     with pytest.raises(BadCapture, match=r"16-bit samples would be read as 8 bits; save"):
@@ -143,5 +137,5 @@ def test_tiff_that_would_be_misread_is_refused(tmp_path, rng):
 
 def test_pages_without_end_are_counted_to_a_limit(tmp_path):
     tifffile.imwrite(tmp_path / "a.tif", np.zeros((70, 4, 5, 3), np.uint8), photometric="rgb")
-    with pytest.raises(BadCapture, match="holds 64 pages or more, expected one picture a file"):
+    with pytest.raises(BadCapture, match="holds 64 pages, expected one picture a file"):
         read_image(tmp_path / "a.tif")

@@ -55,8 +55,8 @@ def adjust_sparse_model(
 ) -> SparseModel:
     """Adjust poses and points to all tracks at once, robustly (bundle adjustment: triggs2000).
 
-    camera_from_head: first guess per frame, None where there is none. points_in_head: (n, 3) first guess per
-    track, to be believed where `known` (n,). refine_focal: the camera's focal length is a guess, too.
+    camera_from_head: initial pose per frame, None where there is none. points_in_head: (n, 3) initial point
+    per track, valid where `known` (n,). refine_focal: the camera's focal length is refined, too.
     Tracks that follow shading, highlights, neck or shoulders disagree with the rest and are dropped.
     """
     reconstruction = _reconstruction(tracks, camera, camera_from_head, points_in_head, known)
@@ -161,7 +161,10 @@ def camera_for_colmap(camera: Camera) -> Any:
         model, focal = "SIMPLE_PINHOLE", [k[0, 0]]
     parameters = [*focal, *colmap_from_pixels(k[:2, 2])]
     if camera.model is CameraModel.OPENCV:
-        parameters += list(camera.distortion)
+        lens = camera.distortion
+        if len(lens) > 4:
+            model, lens = "FULL_OPENCV", np.pad(lens, (0, 8 - len(lens)))
+        parameters += list(lens)
     return pycolmap.Camera(
         camera_id=_CAMERA_ID,
         model=model,

@@ -7,7 +7,8 @@ import cv2
 import numpy as np
 from scipy import ndimage
 
-from vntoolkit.arrays import FloatArray, IntArray, Mask, Points, Vector3, read_only
+from vntoolkit.arrays import Float32Array, FloatArray, IntArray, Mask, Points, Vector3, read_only
+from vntoolkit.calibration.head.samples import sampled
 from vntoolkit.checks import require_same_size
 from vntoolkit.errors import BadCalibration
 from vntoolkit.geometry.camera import Camera
@@ -15,9 +16,7 @@ from vntoolkit.geometry.mesh import Mesh, isosurface, vertex_normals
 from vntoolkit.geometry.rigid import RigidTransform
 from vntoolkit.options.head import HullOptions
 
-_COARSE_STEP = 4  # cells of the fine grid per cell of the first one
 _SHARE_OF_VIEWS = 3  # a point that fewer than one view in so many shows was never filmed: it is outside
-_SLICE = 200_000  # points projected at a time
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -46,7 +45,7 @@ class Box:
     @property
     def diagonal(self) -> float:
         """Length from corner to corner."""
-        return float(np.linalg.norm(np.asarray(self.high) - self.low))
+        return float(np.linalg.norm(self.high - self.low))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -72,20 +71,13 @@ def fit_hull(views: Sequence[SilhouetteView], box: Box, options: HullOptions) ->
     Distances in pixels become lengths at the point's own depth. Outside a view nothing is known and nothing
     is carved; the box closes the hull where no view does. Raises `BadCalibration` where nothing remains.
     """
-    cell = float(np.max(np.asarray(box.high) - box.low)) / options.hull_cells
-    low = np.asarray(box.low) - cell
-    counts = np.ceil((np.asarray(box.high) - low) / cell).astype(int) + 2
-    outlines = [_signed_distance_px(view.mask) for view in views]
-    coarse_axes = [np.arange(0, count + _COARSE_STEP, _COARSE_STEP) for count in counts]
-    coarse = _carved(views, outlines, box, low, cell, coarse_axes)
-    repeated = coarse
-    for axis in range(3):
-        repeated = _between(repeated, axis, counts[axis])
-    values = repeated.astype(np.float32)
-    # a distance changes by no more than the way moved: further off, the coarse value has the right sign
-    near = np.abs(repeated) < 1.1 * _COARSE_STEP * cell
-    points = np.stack(np.nonzero(near), axis=1) * cell + low
-    values[near] = _carved_points(views, outlines, box, points)
+    cell = float(np.max(box.high - box.low)) / options.hull_cells
+    low = box.low - cell
+    counts = np.ceil((box.high - low) / cell).astype(int) + 2
+    outlines = [signed_distance_px(view.mask) for view in views]
+    values = np.empty(counts, np.float32)
+    for slab, places in zip(values, np.moveaxis(np.indices(values.shape), 0, -1), strict=True):
+        slab.ravel()[:] = _carved(views, outlines, box, places.reshape(-1, 3) * cell + low)
     return DistanceGrid(low=low, cell=cell, values=largest_part(values, cell))
 
 
@@ -109,70 +101,32 @@ def largest_part(values: FloatArray, cell: float) -> FloatArray:
 
 
 def _carved(
-    views: Sequence[SilhouetteView],
-    outlines: Sequence[FloatArray],
-    box: Box,
-    low: FloatArray,
-    cell: float,
-    axes: Sequence[FloatArray],
+    views: Sequence[SilhouetteView], outlines: Sequence[Float32Array], box: Box, points: Points
 ) -> FloatArray:
-    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
-    points = grid.reshape(-1, 3) * cell + low
-    return _carved_points(views, outlines, box, points).reshape(grid.shape[:3])
+    """Return the signed distance (n,) of points (n, 3)."""
+    distances = np.stack(
+        [_distance_in_view(view, outline, points) for view, outline in zip(views, outlines, strict=True)]
+    )
+    shown = np.isfinite(distances).sum(axis=0)
+    inside = np.where(shown >= max(1, len(views) // _SHARE_OF_VIEWS), distances.min(axis=0), -box.diagonal)
+    return np.minimum(inside, np.minimum(points - box.low, box.high - points).min(axis=1))
 
 
-def _carved_points(
-    views: Sequence[SilhouetteView], outlines: Sequence[FloatArray], box: Box, points: Points
-) -> FloatArray:
-    result = np.empty(len(points))
-    least_views = max(1, len(views) // _SHARE_OF_VIEWS)
-    for start in range(0, len(points), _SLICE):
-        own = points[start : start + _SLICE]
-        least = np.full(len(own), np.inf)
-        shown = np.zeros(len(own), dtype=np.int64)
-        for view, outline in zip(views, outlines, strict=True):
-            value = _distance_in_view(view, outline, own)
-            shown += np.isfinite(value)
-            np.minimum(value, least, out=least)
-        inside_box = np.minimum(own - box.low, np.asarray(box.high) - own).min(axis=1)
-        inside = np.where(shown >= least_views, least, -box.diagonal)
-        result[start : start + _SLICE] = np.minimum(inside, inside_box)
-    return result
-
-
-_ROW = 256  # OpenCV resamples images, no lists: points are laid out in rows
-
-
-def _distance_in_view(view: SilhouetteView, outline: FloatArray, points: Points) -> FloatArray:
+def _distance_in_view(view: SilhouetteView, outline: Float32Array, points: Points) -> FloatArray:
     """Signed distance (n,) in length units; infinite where the view does not show the point."""
     moved = view.camera_from_head.apply(points)
-    pixels = np.full((-(-len(points) // _ROW), _ROW, 2), -9.0, dtype=np.float32)
-    pixels.reshape(-1, 2)[: len(points)] = view.camera.project(moved)
-    u, v = np.ascontiguousarray(pixels[..., 0]), np.ascontiguousarray(pixels[..., 1])
-    sampled = cv2.remap(
-        outline, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=np.inf
-    ).ravel()[: len(points)]
-    known = np.isfinite(sampled) & (moved[:, 2] > 0)
-    return np.where(known, sampled * moved[:, 2] / view.camera.matrix[0, 0], np.inf)
+    distance = sampled(outline, view.camera.project(moved), outside=np.inf)
+    known = np.isfinite(distance) & (moved[:, 2] > 0)
+    return np.where(known, distance * moved[:, 2] / view.camera.matrix[0, 0], np.inf)
 
 
-def _signed_distance_px(mask: Mask) -> FloatArray:
+def signed_distance_px(mask: Mask) -> Float32Array:
     """Distance to the outline in pixels, positive inside; the image's edge is no outline."""
     inner = cv2.copyMakeBorder(mask.astype(np.uint8), 1, 1, 1, 1, cv2.BORDER_REPLICATE)
     inside = cv2.distanceTransform(inner, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
     outside = cv2.distanceTransform(1 - inner, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
     # the outline runs half-way between the last pixel inside and the first outside
     return np.asarray(np.where(mask, inside - 0.5, 0.5 - outside), dtype=np.float32)
-
-
-def _between(values: FloatArray, axis: int, count: int) -> FloatArray:
-    """Interpolate linearly from every fourth grid point to all along one axis."""
-    at = np.arange(count) / _COARSE_STEP
-    lower = np.minimum(at.astype(int), values.shape[axis] - 2)
-    shape = [1, 1, 1]
-    shape[axis] = count
-    share = (at - lower).reshape(shape)
-    return np.take(values, lower, axis) * (1 - share) + np.take(values, lower + 1, axis) * share
 
 
 def box_about_points(points: Points) -> Box:

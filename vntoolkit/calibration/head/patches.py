@@ -11,13 +11,12 @@ import cv2
 import numpy as np
 from scipy.spatial import cKDTree
 
-from vntoolkit.arrays import ByteArray, FloatArray, IntArray, LinearImage, Points, read_only
+from vntoolkit.arrays import BoolArray, ByteArray, FloatArray, IntArray, LinearImage, Points, read_only
 from vntoolkit.calibration.head.hull import SilhouetteView
-from vntoolkit.calibration.head.samples import HeadRays
+from vntoolkit.calibration.head.samples import HeadRays, sampled
 from vntoolkit.calibration.head.tracks import Tracks
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.rays import RayScene
-from vntoolkit.native import njit
 
 _SMOOTH_PX = 6.0  # standard deviation of the window whose mean is light
 _FLOOR = 3.5 / 255.0  # of full scale: darker is noise
@@ -30,7 +29,7 @@ _NEAR = 0.01  # of the diagonal: how far a point may lie off the shape, and a pa
 _LEAST_CORRELATION = 0.75
 _MOST_PX = 3.0  # off the expected place: poses are known better
 _LEAST_FRAMES = 4
-_STEPS, _SETTLED_PX = 8, 0.01
+_STEPS, _CONVERGED_PX = 8, 0.01
 _LEAST_CORNER = 1e-4  # determinant over the squared trace: less is an edge, which slides
 _TINY = 1e-9
 
@@ -60,19 +59,7 @@ def find_again(
     patches = _patches(mesh, points[near], mesh.normals[vertex], pixel)
     middle = patches[:, patches.shape[1] // 2]
     facing = _facing(views, mesh, vertex, middle)
-    place, correlation = np.zeros((*facing.shape, 2)), np.zeros(facing.shape)
-    poses = [view.camera_from_head for view in views]
-    _search_kernel(
-        np.stack(details),
-        np.asarray(views[0].camera.matrix),
-        np.stack([pose.rotation for pose in poses]),
-        np.stack([pose.translation for pose in poses]),
-        patches,
-        facing,
-        _weights(),
-        place,
-        correlation,
-    )
+    place, correlation = _found_in_frames(views, details, patches, facing)
     found = correlation > _LEAST_CORRELATION
     found &= found.sum(axis=0) >= _LEAST_FRAMES
     kept = np.flatnonzero(found.any(axis=0))
@@ -130,124 +117,69 @@ def _facing(views: Sequence[SilhouetteView], mesh: Mesh, vertex: IntArray, middl
     return read_only(facing)
 
 
-@njit(cache=True)
-def _value(image: ByteArray, u: float, v: float) -> float:
-    column, row = int(u), int(v)
-    a, b = u - column, v - row
-    above = (1.0 - a) * image[row, column] + a * image[row, column + 1]
-    return (1.0 - b) * above + b * ((1.0 - a) * image[row + 1, column] + a * image[row + 1, column + 1])
+def _found_in_frames(
+    views: Sequence[SilhouetteView], details: Sequence[ByteArray], patches: FloatArray, facing: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the places (f, n, 2) of the patches' middles, and their correlation (f, n), 0 where not found.
+
+    Every patch (n, k, 3) is shifted in each frame until it agrees with the frame that faces it best.
+    """
+    place, correlation = np.zeros((*facing.shape, 2)), np.zeros(facing.shape)
+    best = facing.argmax(axis=0)
+    pattern = np.zeros(patches.shape[:2])
+    shown = np.zeros(facing.shape, np.bool_)
+    for f, (view, detail) in enumerate(zip(views, details, strict=True)):
+        own = np.flatnonzero(facing[f] > 0)
+        pixels = _pixels(view, patches[own])
+        shown[f, own] = _inside(pixels, detail.shape)
+        own = own[(best[own] == f) & shown[f, own]]
+        pixels = _pixels(view, patches[own])
+        pattern[own] = sampled(detail.astype(np.float32), pixels.reshape(-1, 2)).reshape(pixels.shape[:2])
+        place[f, own], correlation[f, own] = pixels[:, pixels.shape[1] // 2], 1.0
+    weights = _weights()
+    pattern -= (pattern @ weights)[:, None]
+    known = np.take_along_axis(correlation, best[None], axis=0)[0] > 0
+    for f, (view, detail) in enumerate(zip(views, details, strict=True)):
+        others = np.flatnonzero(shown[f] & known & (best != f))
+        pixels = _pixels(view, patches[others])
+        shift, correlation[f, others] = _shifts(detail, pixels, pattern[others], weights)
+        place[f, others] = pixels[:, pixels.shape[1] // 2] + shift
+    return place, correlation
 
 
-@njit(cache=True)
-def _project(
-    patch: FloatArray, camera: FloatArray, turn: FloatArray, move: FloatArray, pixels: FloatArray
-) -> None:
-    for q in range(len(patch)):
-        for k in range(3):
-            place = move[k]
-            for j in range(3):
-                place += turn[k, j] * patch[q, j]
-            pixels[q, k] = place
-        for k in range(2):
-            pixels[q, k] = camera[k, k] * pixels[q, k] / pixels[q, 2] + camera[k, 2]
+def _pixels(view: SilhouetteView, patches: FloatArray) -> FloatArray:
+    return view.camera.project(view.camera_from_head.apply(patches))
 
 
-@njit(cache=True)
-def _inside(pixels: FloatArray, shape: tuple[int, int]) -> bool:
+def _inside(pixels: FloatArray, shape: tuple[int, ...]) -> BoolArray:
     margin = _MOST_PX + 2.0
-    for q in range(len(pixels)):
-        if not margin < pixels[q, 0] < shape[1] - 1.0 - margin:
-            return False
-        if not margin < pixels[q, 1] < shape[0] - 1.0 - margin:
-            return False
-    return True
+    high = np.array(shape[::-1]) - 1.0 - margin
+    return np.asarray(((pixels > margin) & (pixels < high)).all(axis=(1, 2)))
 
 
-@njit(cache=True)
-def _search_kernel(
-    details: ByteArray,
-    camera: FloatArray,
-    rotations: FloatArray,
-    translations: FloatArray,
-    patches: FloatArray,
-    facing: FloatArray,
-    weights: FloatArray,
-    place: FloatArray,
-    correlation: FloatArray,
-) -> None:
-    """Shift every patch in every frame until it agrees with the frame that faces it best."""
-    count = patches.shape[1]
-    pixels, pattern, value = np.empty((count, 3)), np.empty(count), np.empty(count)
-    for i in range(len(patches)):
-        best = np.argmax(facing[:, i])
-        if facing[best, i] == 0.0:
-            continue
-        _project(patches[i], camera, rotations[best], translations[best], pixels)
-        if not _inside(pixels, details.shape[1:]):
-            continue
-        mean, own = 0.0, 0.0
-        for q in range(count):
-            pattern[q] = _value(details[best], pixels[q, 0], pixels[q, 1])
-            mean += weights[q] * pattern[q]
-        for q in range(count):
-            pattern[q] -= mean
-            own += weights[q] * pattern[q] ** 2
-        place[best, i, :], correlation[best, i] = pixels[count // 2, :2], 1.0
-        for f in range(len(details)):
-            if f == best or facing[f, i] == 0.0:
-                continue
-            _project(patches[i], camera, rotations[f], translations[f], pixels)
-            if _inside(pixels, details.shape[1:]):
-                correlation[f, i] = _shifted(details[f], pixels, pattern, own, weights, value, place[f, i])
-
-
-@njit(cache=True)
-def _shifted(
-    detail: ByteArray,
-    pixels: FloatArray,
-    pattern: FloatArray,
-    own: float,
-    weights: FloatArray,
-    value: FloatArray,
-    place: FloatArray,
-) -> float:
-    """Write where the middle of the patch is found; return the correlation there, 0 where it is not."""
-    count, u, v, found = len(pattern), 0.0, 0.0, 0.0
-    slope = np.empty((count, 2))
+def _shifts(
+    detail: ByteArray, pixels: FloatArray, pattern: FloatArray, weights: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the shifts (n, 2) of patches at pixels (n, k, 2), by Lucas and Kanade, and correlations (n,)."""
+    image = detail.astype(np.float32)
+    down, right = np.gradient(image)
+    layers = np.stack([image, right, down], axis=-1)
+    shift, found = np.zeros((len(pixels), 2)), np.zeros(len(pixels))
+    size = np.square(pattern) @ weights
+    moving = np.arange(len(pixels))
     for _ in range(_STEPS):
-        mean, mean_u, mean_v = 0.0, 0.0, 0.0
-        for q in range(count):
-            x, y = pixels[q, 0] + u, pixels[q, 1] + v
-            value[q] = _value(detail, x, y)
-            slope[q, 0] = 0.5 * (_value(detail, x + 1.0, y) - _value(detail, x - 1.0, y))
-            slope[q, 1] = 0.5 * (_value(detail, x, y + 1.0) - _value(detail, x, y - 1.0))
-            mean += weights[q] * value[q]
-            mean_u += weights[q] * slope[q, 0]
-            mean_v += weights[q] * slope[q, 1]
-        shared, other = 0.0, 0.0
-        for q in range(count):
-            value[q] -= mean
-            shared += weights[q] * value[q] * pattern[q]
-            other += weights[q] * value[q] ** 2
-        gain = shared / max(own, _TINY)
-        uu, uv, vv, along_u, along_v = 0.0, 0.0, 0.0, 0.0, 0.0
-        for q in range(count):
-            left = gain * pattern[q] - value[q]
-            a, b = slope[q, 0] - mean_u, slope[q, 1] - mean_v
-            uu += weights[q] * a * a
-            uv += weights[q] * a * b
-            vv += weights[q] * b * b
-            along_u += weights[q] * a * left
-            along_v += weights[q] * b * left
-        determinant = uu * vv - uv * uv
-        if determinant <= _LEAST_CORNER * (uu + vv) ** 2:
-            return 0.0
-        step_u = (vv * along_u - uv * along_v) / determinant
-        step_v = (uu * along_v - uv * along_u) / determinant
-        u, v, found = u + step_u, v + step_v, shared / np.sqrt(max(own * other, _TINY))
-        if max(abs(u), abs(v)) > _MOST_PX:
-            return 0.0
-        if max(abs(step_u), abs(step_v)) < _SETTLED_PX:
-            break
-    place[0], place[1] = pixels[count // 2, 0] + u, pixels[count // 2, 1] + v
-    return found
+        at = pixels[moving] + shift[moving, None]
+        seen = sampled(layers, at.reshape(-1, 2)).reshape(*at.shape[:2], 3).astype(np.float64)
+        seen -= (weights @ seen)[:, None]
+        value, slope = seen[..., 0], seen[..., 1:]
+        shared = (value * pattern[moving]) @ weights
+        left = (shared / np.maximum(size[moving], _TINY))[:, None] * pattern[moving] - value
+        normal = np.einsum("k,nki,nkj->nij", weights, slope, slope, optimize=True)
+        corner = np.linalg.det(normal) > _LEAST_CORNER * np.trace(normal, axis1=1, axis2=2) ** 2
+        normal[~corner] = np.eye(2)
+        step = np.linalg.solve(normal, np.einsum("k,nki,nk->ni", weights, slope, left)[..., None])[..., 0]
+        shift[moving] += step
+        found[moving] = shared / np.sqrt(np.maximum(size[moving] * (np.square(value) @ weights), _TINY))
+        found[moving[~corner | (np.abs(shift[moving]).max(axis=1) > _MOST_PX)]] = 0.0
+        moving = moving[(found[moving] > 0) & (np.abs(step).max(axis=1) >= _CONVERGED_PX)]
+    return shift, found

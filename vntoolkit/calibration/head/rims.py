@@ -12,13 +12,14 @@ import cv2
 import numpy as np
 
 from vntoolkit.arrays import BoolArray, Faces, Float32Array, FloatArray, IntArray, Mask, Points, Vectors
-from vntoolkit.calibration.head.samples import LightFrame
-from vntoolkit.calibration.head.skin import LEAST_COSINE, sampled
+from vntoolkit.calibration.head.hull import signed_distance_px
+from vntoolkit.calibration.head.light import LEAST_COSINE
+from vntoolkit.calibration.head.samples import LightFrame, sampled
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.photometry.response import LightResponse
 
-_REACH_PX, _STEP_PX = 4.0, 0.5  # how far a contour is looked for to both sides of the rim
+_REACH_PX = 4.0  # how far a contour may lie to both sides of the rim
 _SOFT_PX = 1.0  # standard deviation of the blur that makes a contour of whole pixels smooth
 _NOISE_PX = 0.3  # of a contour of whole pixels: √(1/12)
 _ALIKE_PX = 50.0  # along the contour: where it errs, as before dark hair, it errs alike over such lengths
@@ -85,7 +86,7 @@ def _rims(
     across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), _TINY)
     outward = across[:, :2] / np.maximum(np.linalg.norm(across[:, :2], axis=1, keepdims=True), _TINY)
     pixel = camera.project(place)
-    off, found = _contour_beside(frame.mask, pixel, outward)
+    off, found = _contour_beside(frame.mask, pixel)
     found &= (across @ lamps.T).max(axis=1) > LEAST_COSINE
     near, far, share, off, outward = (each[found] for each in (near, far, share, off, outward))
     contour, unit = pixel[found] + off[:, None] * outward, place[found, 2] / camera.matrix[0, 0]
@@ -101,20 +102,13 @@ def _rims(
     return vertex, shares, np.tile(off, 2), np.tile(slope, 2), np.tile(unit, 2)
 
 
-def _contour_beside(mask: Mask, pixel: FloatArray, outward: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Return how far outwards the contour lies from pixels (r, 2), and where there is just one to be met."""
-    soft = np.asarray(cv2.GaussianBlur(mask.astype(np.float32), (0, 0), _SOFT_PX), np.float32)
-    steps = np.arange(-_REACH_PX, _REACH_PX + 0.5 * _STEP_PX, _STEP_PX)
-    places = pixel[:, None] + steps[:, None] * outward[:, None]
-    inside = _at(soft, places).reshape(len(pixel), len(steps)) - 0.5
-    leaves = (inside[:, :-1] > 0) & (inside[:, 1:] <= 0)
-    enters = (inside[:, :-1] <= 0) & (inside[:, 1:] > 0)
+def _contour_beside(mask: Mask, pixel: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Return how far outwards the contour lies from pixels (r, 2), and where it is near."""
+    distance = cv2.GaussianBlur(signed_distance_px(mask), (0, 0), _SOFT_PX)
+    off = _at(np.asarray(distance, np.float32), pixel)
     size, margin = np.array(mask.shape[::-1]), _REACH_PX + 2.0 * _SOFT_PX
     within = ((pixel > margin) & (pixel < size - 1.0 - margin)).all(axis=1)
-    at, rows = leaves.argmax(axis=1), np.arange(len(pixel))
-    before, after = inside[rows, at], inside[rows, at + 1]
-    off = steps[at] + _STEP_PX * before / np.where(before > after, before - after, 1.0)
-    return off, within & (leaves.sum(axis=1) == 1) & ~enters.any(axis=1)
+    return off, within & (np.abs(off) < _REACH_PX)
 
 
 def _at(image: Float32Array, pixel: FloatArray) -> FloatArray:

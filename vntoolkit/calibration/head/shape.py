@@ -1,12 +1,12 @@
 """The head's shape from silhouettes and stereo."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from vntoolkit.arrays import ByteArray, Points
+from vntoolkit.arrays import ByteArray
 from vntoolkit.calibration.head.hull import DistanceGrid, SilhouetteView, mesh_of_grid, spread_over_turn
 from vntoolkit.calibration.head.stereo import OrientedPoints, stereo_points
 from vntoolkit.errors import BadCalibration
@@ -18,23 +18,15 @@ from vntoolkit.options.head import FusionOptions, StereoOptions
 _LEAST_POINTS = 500
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class FusedShape:
-    """A closed mesh, and the points of stereo (n, 3) that hold it: elsewhere it is filled in. Head frame."""
-
-    mesh: Mesh
-    points: Points
-
-
 def fit_shape(
     views: Sequence[SilhouetteView],
     contrasts: Sequence[ByteArray],
     hull: DistanceGrid,
     stereo: StereoOptions,
-    fusion: "FusionOptions",
+    fusion: FusionOptions,
     on_progress: Callable[[int, int], None] = lambda done, total: None,
     about: Mesh | None = None,
-) -> FusedShape:
+) -> Mesh:
     """Search depths of evenly spread views about the hull, or a mesh, and fuse them.
 
     contrasts: (h, w) local contrast of every view, 8 bits. on_progress is told depth maps done and in all.
@@ -54,7 +46,7 @@ def fit_shape(
 
 def fuse_points(
     maps: Sequence[OrientedPoints], hull: Mesh, grid: DistanceGrid, options: FusionOptions
-) -> FusedShape:
+) -> Mesh:
     """Fuse: points that other views confirm, the hull where there are none, screened Poisson over both.
 
     Points outside the hull are dropped: no silhouette allows them. Raises `BadCalibration` where
@@ -71,7 +63,7 @@ def fuse_points(
         points=np.concatenate([found, hull.vertices[rest]]),
         normals=np.concatenate([*(each.normals for each in kept), normals[rest]]),
     )
-    return FusedShape(mesh=_poisson(cloud, options.fusion_depth), points=found)
+    return _poisson(cloud, options.fusion_depth)
 
 
 def confirmed_maps(

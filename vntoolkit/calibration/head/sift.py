@@ -12,7 +12,7 @@ import numpy as np
 from vntoolkit.arrays import ByteArray, Float64Array, FloatArray, IntArray, Mask, Points2
 from vntoolkit.calibration.head.colmap import camera_for_colmap, colmap_from_pixels, pixels_from_colmap
 from vntoolkit.calibration.head.silhouettes import box_of_mask
-from vntoolkit.calibration.head.tracks import Tracks, contrast_in_8_bits, pairs_shared
+from vntoolkit.calibration.head.tracks import Tracks, pairs_shared
 from vntoolkit.errors import BadCalibration
 from vntoolkit.geometry.camera import Camera
 
@@ -23,7 +23,7 @@ _LEAST_FRAMES = 3  # a track over two says nothing that could be wrong
 _ESTIMATE_PX, _GUIDE_PX = 2.0, 1.5  # from the epipolar line: while it is sought, and once it is known
 _PEAK = 0.003  # weakest contrast of a feature, 0 to 1: skin has little
 _MOST_FEATURES = 3000  # of a frame
-_RATIO = 0.85  # of the distance to the best match over that to the second best, at most
+_RATIO = 0.8  # of the distance to the best match over that to the second best, at most; COLMAP's
 _LEAST_MATCHES = 20  # of a pair of frames that agree on one epipolar geometry,
 _LEAST_AGREEING = 0.4  # and their share of all matches
 Features = tuple[Points2, FloatArray]  # positions (n, 2) and unit descriptors (n, 128)
@@ -37,22 +37,20 @@ class SiftBuilder:
     _positions: list[Points2] = field(default_factory=list)
     _descriptors: list[FloatArray] = field(default_factory=list)
     _extractor: Any = None
-    _image: ByteArray = field(default_factory=lambda: np.zeros((1, 1), np.uint8))
 
-    def add(self, contrast: FloatArray, mask: Mask) -> int:
-        """Find a frame's features; returns how many.
+    def add(self, contrast: ByteArray, mask: Mask) -> None:
+        """Find a frame's features.
 
-        contrast: (h, w) local contrast. mask: (h, w) the silhouette.
+        contrast: (h, w) `local_contrast`. mask: (h, w) the silhouette.
         """
-        self._image = image = contrast_in_8_bits(contrast)
         if self._extractor is None:
             self._extractor = _extractor()
         if not mask.any():
             self._positions.append(np.zeros((0, 2)))
             self._descriptors.append(np.zeros((0, 128), np.float32))
-            return 0
+            return
         rows, columns = box_of_mask(mask)
-        own = np.ascontiguousarray(image[rows, columns])
+        own = np.ascontiguousarray(contrast[rows, columns])
         keypoints, found = self._extractor.extract_from_uint8_array(own)
         positions = np.array([[each.x, each.y] for each in keypoints]).reshape(-1, 2)
         positions = pixels_from_colmap(positions) + np.array([columns.start, rows.start])
@@ -64,12 +62,6 @@ class SiftBuilder:
         length = np.maximum(np.linalg.norm(descriptors[kept], axis=1, keepdims=True), 1e-9)
         self._positions.append(positions[kept])
         self._descriptors.append(descriptors[kept] / length)
-        return len(kept)
-
-    @property
-    def image(self) -> ByteArray:
-        """The last frame's local contrast (h, w) in 8 bits, 0 before the first frame."""
-        return self._image
 
     def finish(self) -> Tracks:
         """Match the pairs of frames and join the matches into tracks over at least three frames."""
@@ -148,9 +140,6 @@ def _extractor() -> Any:
     return pycolmap.FeatureExtractor.create(extraction, pycolmap.Device.cpu)
 
 
-_NEVER = 9.0
-
-
 def match_two_views(camera: Any, first: Features, second: Features) -> IntArray:
     """Match, find the epipolar geometry by RANSAC, match again along its lines; (m, 2) numbers of features.
 
@@ -178,10 +167,10 @@ def match_two_views(camera: Any, first: Features, second: Features) -> IntArray:
     if found.F is None or agreeing < max(_LEAST_MATCHES, _LEAST_AGREEING * len(matches)):
         return none
     off = _distance_to_lines(np.asarray(found.F), a, b)
-    return _mutual(np.where(off < _GUIDE_PX, angles, _NEVER))
+    return _mutual(np.where(off < _GUIDE_PX, angles, np.inf))
 
 
-_LARGEST_ANGLE = 0.7  # between descriptors of one point, radians
+_LARGEST_ANGLE = 0.7  # between descriptors of one point, radians; COLMAP's
 
 
 def _mutual(angles: FloatArray) -> IntArray:

@@ -6,7 +6,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from vntoolkit.arrays import BoolArray, ByteArray, FloatArray, IntArray, LinearImage, Mask, Points2, read_only
+from vntoolkit.arrays import BoolArray, ByteArray, IntArray, LinearImage, Mask, Points2, read_only
 from vntoolkit.errors import BadCalibration
 from vntoolkit.options.head import TrackOptions
 
@@ -61,26 +61,18 @@ class TrackBuilder:
     _frame: int = 0
     _seen: list[tuple[IntArray, int, Points2]] = field(default_factory=list)
 
-    def add(self, contrast: FloatArray, mask: Mask) -> int:
-        """Follow all points into the next frame, seed new corners; returns how many are followed.
+    def add(self, contrast: ByteArray, mask: Mask) -> None:
+        """Follow all points into the next frame and seed new corners.
 
-        contrast: (h, w) local contrast. mask: (h, w) the silhouette.
+        contrast: (h, w) `local_contrast`. mask: (h, w) the silhouette.
         """
-        image = contrast_in_8_bits(contrast)
         allowed = self._allowed(mask)
         if self._previous is not None and len(self._positions):
-            self._follow(self._previous, image, allowed)
-        followed = len(self._positions)
-        self._seed(image, allowed)
+            self._follow(self._previous, contrast, allowed)
+        self._seed(contrast, allowed)
         self._seen.append((self._points, self._frame, self._positions))
-        self._previous = image
+        self._previous = contrast
         self._frame += 1
-        return followed
-
-    @property
-    def image(self) -> ByteArray:
-        """The last frame's local contrast (h, w) in 8 bits, 0 before the first frame."""
-        return np.zeros((1, 1), np.uint8) if self._previous is None else self._previous
 
     def finish(self) -> Tracks:
         """Return the tracks that are long enough."""
@@ -138,9 +130,9 @@ class TrackBuilder:
 
 
 def _flow(source: Any, target: Any, start: Any, window_px: int) -> tuple[Any, Any]:
-    guess: Any = None  # OpenCV's stubs do not allow that there is none
+    no_start: Any = None  # OpenCV's stubs do not allow that there is none
     there, found, _ = cv2.calcOpticalFlowPyrLK(
-        source, target, start, guess, winSize=(window_px, window_px), maxLevel=3
+        source, target, start, no_start, winSize=(window_px, window_px), maxLevel=3
     )
     return there, found
 
@@ -193,27 +185,19 @@ def pairs_shared(tracks: Tracks, apart: int) -> IntArray:
 
 # Local contrast: an image that keeps the texture of the skin and removes the moving shading.
 
-
 _CONTRAST_PX = 6.0  # standard deviation of the window whose mean and spread are divided out
 _CONTRAST_FLOOR = 3.5  # spread, in levels of 255, that is taken for noise and not amplified
+_BLACK_TO_WHITE = 8.0  # range of the contrast in 8 bits
 
 
-def local_contrast(rgb: LinearImage) -> FloatArray:
-    """Return (x − mean) / (spread + floor) of the channels' mean x (h, w, 3); float32 (h, w), about −3 to 3.
+def local_contrast(rgb: LinearImage) -> ByteArray:
+    """Return (x − mean) / (spread + floor) of the channels' mean x (h, w, 3); (h, w), 127 where it is 0.
 
     Multiplying the light by a smooth factor changes it little, so that a moving shading does not pull what
     is followed in it. The mean of the channels is taken since compressed colour is coarse (4:2:0).
     """
     grey = 255.0 * np.asarray(rgb, dtype=np.float32).mean(axis=2)
-    mean = cv2.GaussianBlur(grey, (0, 0), _CONTRAST_PX)
-    deviation = grey - mean
+    deviation = grey - cv2.GaussianBlur(grey, (0, 0), _CONTRAST_PX)
     spread = np.sqrt(cv2.GaussianBlur(deviation * deviation, (0, 0), _CONTRAST_PX))
-    return np.asarray(deviation / (spread + np.float32(_CONTRAST_FLOOR)))
-
-
-_WIDEST_VALUE = 4.0  # that becomes black or white in 8 bits
-
-
-def contrast_in_8_bits(contrast: FloatArray) -> ByteArray:
-    """Return local contrast (h, w) as the 8-bit image in which skin is followed and compared."""
-    return np.clip(127.5 + 127.5 / _WIDEST_VALUE * contrast, 0, 255).astype(np.uint8)
+    contrast = deviation / (spread + np.float32(_CONTRAST_FLOOR))
+    return np.clip(127.5 + 255.0 / _BLACK_TO_WHITE * contrast, 0, 255).astype(np.uint8)

@@ -4,6 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,19 +12,18 @@ from vntoolkit.arrays import Array, LinearImage
 from vntoolkit.checks import require_positive, require_shape
 from vntoolkit.display import Displayed, Facts, Picture
 from vntoolkit.errors import BadCapture, BadInput
-from vntoolkit.io.files import opened
-from vntoolkit.io.footage.decoding import EncodedFrame, linear_frame_from_encoded
+from vntoolkit.io.footage.decoding import EncodedFrame, YuvConversion, linear_frame_from_encoded
 from vntoolkit.io.footage.frame_range import FrameRange
-from vntoolkit.io.footage.images import header_of_stream, read_image
-from vntoolkit.io.footage.luma_detail import LumaDetail
+from vntoolkit.io.footage.images import ImageHeader, read_opaque_image
 from vntoolkit.io.footage.mosaics import is_raw, read_raw
-from vntoolkit.io.footage.pixel_formats import YuvConversion
 from vntoolkit.io.footage.sequence import CaptureFiles, CaptureKind, find_capture_files, text_of_names
-from vntoolkit.io.footage.video import VideoReader
 from vntoolkit.options.footage import Gaps, SensorOptions
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.transfer import Transfer
+
+if TYPE_CHECKING:
+    from vntoolkit.io.footage.video import VideoReader
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -35,9 +35,9 @@ class CaptureOptions:
     or a linear (h, w, 3) array), subtracted from every frame; None for none. max_megapixels: refuse larger
     frames before memory is asked for; None for the limit of `reading_limits`. sensor: how samples of the
     sensor itself are read. response: of the scene's lights; with it, and the transfer, fine detail of video
-    with subsampled chroma is taken from its luma. frame_rate_hz: of an image sequence, if it is known (a
-    video brings its own). gaps: what to do where numbers of an image sequence are missing; frames after a gap
-    keep their numbers. threads: for decoding.
+    with subsampled chroma is taken from its luma. frame_rate_hz: at which it was filmed, whatever
+    a video states; None for what it states. gaps: what to do where numbers of an image sequence are missing;
+    frames after a gap keep their numbers. threads: for decoding.
     """
 
     transfer: Transfer | None = None
@@ -72,8 +72,9 @@ class CaptureInfo:
     `Transfer` reads it where it can be undone; empty for none. conversion: of YUV to RGB. orientation: what
     was done to turn the frames upright, empty for nothing; width and height are those of the upright picture.
     times_s: when each frame of a video of varying rate is shown, seconds from the first; empty for an even
-    rate. stated_focal_px: focal length that a photograph states, as that of a picture of 24×36 mm with the
-    same diagonal; None for none.
+    rate. unusable_times: what is wrong with the times that a video states, empty for nothing.
+    stated_focal_px: focal length that a photograph states, as that of a picture of 24×36 mm with the same
+    diagonal; None for none.
     """
 
     kind: CaptureKind
@@ -91,6 +92,7 @@ class CaptureInfo:
     conversion: YuvConversion = field(default_factory=YuvConversion)
     orientation: str = ""
     times_s: tuple[float, ...] = ()
+    unusable_times: str = ""
     numbers: tuple[int, ...] = ()
     missing: Mapping[int, str] = field(default_factory=dict)
     left_out: tuple[Path, ...] = ()
@@ -105,7 +107,7 @@ class Capture(Displayed):
     """
 
     def __init__(
-        self, info: CaptureInfo, options: CaptureOptions, reader: VideoReader | None, name: str
+        self, info: CaptureInfo, options: CaptureOptions, reader: "VideoReader | None", name: str
     ) -> None:
         self.info = info
         self.options = options
@@ -190,18 +192,21 @@ class Capture(Displayed):
         for number, path in zip(self.info.numbers, self.info.files, strict=True):
             if number not in wanted:
                 continue
-            values = self._read(path)
+            values, header = _read_image(path, self.options)
             height, width = values.shape[:2]
             if (width, height) != (self.info.width, self.info.height):
                 raise BadCapture(
                     f"{path}: frame {number} is {width}×{height}, the first one {self.info.width}×"
                     f"{self.info.height}: a capture has one size"
                 )
+            first, own = self.info.stated_transfer, "" if header is None else header.stated.transfer
+            if first and own and own != first:
+                raise BadCapture(
+                    f"{path}: frame {number} states the transfer curve {own}, the first one {first}: a "
+                    "capture has one curve"
+                )
             bits = _bits(values, self.options, path)
             yield EncodedFrame(values=values, bits=bits, number=number, name=str(path))
-
-    def _read(self, path: Path | str) -> Array:
-        return read_image(path, max_megapixels=self.options.max_megapixels, sensor=self.options.sensor)
 
     def _read_background(self) -> LinearImage | None:
         background = self.options.background
@@ -211,7 +216,14 @@ class Capture(Displayed):
         if isinstance(background, (str, Path)):
             name = str(background)
             how = replace(self.options, background=None, transfer=self.transfer, gaps=Gaps.SKIP)
-            background = open_capture(background, how).frame(0).rgb
+            footage = open_capture(background, how)
+            curves = {footage.info.stated_transfer, self.info.stated_transfer} - {""}
+            if len(curves) > 1:
+                raise BadCapture(
+                    f"{name}: states the transfer curve {footage.info.stated_transfer}, the footage "
+                    f"{self.info.stated_transfer}: film both with the same settings"
+                )
+            background = footage.frame(0).rgb
         require_shape(background, (None, None, 3), name, BadCapture)
         height, width = background.shape[:2]
         if (width, height) != (self.info.width, self.info.height):
@@ -230,18 +242,8 @@ def open_capture(source: Path | str, options: CaptureOptions | None = None) -> C
     options = options or CaptureOptions()
     found = find_capture_files(source)
     if found.kind is CaptureKind.VIDEO:
-        detail = None
-        if options.response is not None and options.transfer is not None:
-            detail = LumaDetail(options.response, options.transfer)
-        reader = VideoReader(
-            found.files[0],
-            max_megapixels=options.max_megapixels,
-            threads=options.threads,
-            takes_codes=options.transfer is not None and options.transfer.takes_codes,
-            sensor=options.sensor,
-            detail=detail,
-        )
-        return Capture(_info_of_video(reader), options, reader, str(source))
+        reader = _video_reader(found.files[0], options)
+        return Capture(_info_of_video(reader, options.frame_rate_hz), options, reader, str(source))
     if found.missing and options.gaps is Gaps.REFUSE:
         raise BadCapture(
             f"{source}: {len(found.missing)} of {found.numbers[-1] + 1} files of the sequence are missing: "
@@ -251,34 +253,71 @@ def open_capture(source: Path | str, options: CaptureOptions | None = None) -> C
     return Capture(_info_of_images(found, options), options, None, str(source))
 
 
-def _info_of_video(reader: VideoReader) -> CaptureInfo:
+def _video_reader(path: Path, options: CaptureOptions) -> "VideoReader":
+    from vntoolkit.io.footage.luma_detail import LumaDetail
+    from vntoolkit.io.footage.video import VideoReader
+
+    detail = None
+    if options.response is not None and options.transfer is not None:
+        detail = LumaDetail(options.response, options.transfer)
+    return VideoReader(
+        path,
+        max_megapixels=options.max_megapixels,
+        threads=options.threads,
+        takes_codes=options.transfer is not None and options.transfer.takes_codes,
+        sensor=options.sensor,
+        detail=detail,
+    )
+
+
+def _info_of_video(reader: "VideoReader", rate_hz: float | None) -> CaptureInfo:
+    from vntoolkit.io.footage.video import Timing
+
+    timing = reader.timing if rate_hz is None else Timing(rate_hz=rate_hz)
     return CaptureInfo(
         kind=CaptureKind.VIDEO,
         width=reader.width,
         height=reader.height,
         frame_count=len(reader.index.times),
-        frame_rate_hz=reader.frame_rate_hz,
+        frame_rate_hz=timing.rate_hz,
         pixel_format=reader.pixel_format.name,
         bits=reader.bits,
         codec=reader.codec,
         chroma=reader.chroma,
         files=(reader.path,),
         promised_frame_count=reader.index.promised,
-        stated_transfer=reader.stated_transfer,
+        stated_transfer=reader.stated.transfer,
         conversion=reader.conversion,
-        orientation=reader.orientation.text,
-        times_s=reader.uneven_times_s,
+        orientation=reader.stated.orientation.text,
+        times_s=timing.uneven_s,
+        unusable_times=timing.unusable,
     )
 
 
 def _stated_transfer(info: CaptureInfo, name: str) -> Transfer:
+    stated = info.stated_transfer
     try:
-        return Transfer.from_text(info.stated_transfer or "linear")
+        transfer = Transfer.from_text(stated or "linear")
     except BadInput as problem:
         raise BadCapture(
-            f"{name}: states the transfer curve {info.stated_transfer}, which is not read; convert the "
+            f"{name}: states the transfer curve {stated}, which is not read; convert the "
             "footage, or give --transfer with the curve that is meant"
         ) from problem
+    if info.bits == 32 and transfer != Transfer():
+        raise BadCapture(
+            f"{name}: states the transfer curve {stated} of floating-point samples, which are read as "
+            "linear; save linear ones, or 16 bits"
+        )
+    return transfer
+
+
+def _read_image(path: Path, options: CaptureOptions) -> tuple[Array, ImageHeader | None]:
+    """Return pixels and header; None for that of a camera raw file, whose reader heeds it."""
+    limit, sensor = options.max_megapixels, options.sensor
+    if is_raw(path):
+        return read_raw(path, sensor.demosaic, max_megapixels=limit)[0], None
+    image = read_opaque_image(path, max_megapixels=limit, sensor=sensor)
+    return image.rgb, image.header
 
 
 def _info_of_images(found: CaptureFiles, options: CaptureOptions) -> CaptureInfo:
@@ -307,9 +346,8 @@ def _info_of_images(found: CaptureFiles, options: CaptureOptions) -> CaptureInfo
             stated_transfer="linear",
             orientation=raw.orientation,
         )
-    first = read_image(files[0], max_megapixels=options.max_megapixels, sensor=options.sensor)
-    with opened(files[0], BadCapture) as stream:
-        header = header_of_stream(stream, str(files[0]))
+    first, header = _read_image(files[0], options)
+    assert header is not None
     grey = "Bayer" if options.sensor.bayer or header.bayer else "grey"
     return info(
         width=first.shape[1],
@@ -318,9 +356,9 @@ def _info_of_images(found: CaptureFiles, options: CaptureOptions) -> CaptureInfo
         bits=_bits(first, options, files[0]),
         codec=header.format,
         chroma=grey if header.channels < 3 else header.chroma,
-        stated_transfer=header.stated_transfer,
-        stated_focal_px=header.stated_focal_px,
-        orientation=header.orientation.text,
+        stated_transfer=header.stated.transfer,
+        stated_focal_px=header.stated.focal_px,
+        orientation=header.stated.orientation.text,
     )
 
 

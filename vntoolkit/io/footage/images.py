@@ -1,4 +1,4 @@
-"""Single images: PNG, TIFF, JPEG, BMP by OpenCV, EXR by OpenEXR, raw by LibRaw; sizes checked first."""
+"""Single images: PNG, TIFF, JPEG, BMP, WebP by OpenCV, EXR by OpenEXR, raw by LibRaw; sizes checked first."""
 
 import contextlib
 import io
@@ -6,10 +6,9 @@ import itertools
 import logging
 import math
 import os
-import shlex
 import struct
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -22,23 +21,35 @@ from vntoolkit.io.atomic import write_bytes
 from vntoolkit.io.files import opened, require_pixels
 from vntoolkit.io.footage import mosaics
 from vntoolkit.io.footage.orientation import UPRIGHT, Orientation
+from vntoolkit.io.footage.stated import (
+    IMAGE_SUFFIXES,
+    TRANSFER_NAMES,
+    Stated,
+    aspect_of_density,
+    bt709_from,
+    curve_of_profile,
+    require_heeded,
+)
 from vntoolkit.io.maps_and_meshes import exr
 from vntoolkit.io.maps_and_meshes.exr import read_exr
 from vntoolkit.native import silenced_native_output
 from vntoolkit.options.footage import Bayer, SensorOptions
 
-SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp", ".exr", *mosaics.RAW_SUFFIXES)
+SUFFIXES = (*IMAGE_SUFFIXES, *mosaics.RAW_SUFFIXES)
 _LONGEST_HEADER = 32 << 20  # bytes; colour profiles and previews stand before the size in some files
 _PIECE_BYTES = 1 << 20
+_SHORT_CHUNK = 64  # bytes
+_COUNTED = {"TIFF": "pages", "EXR": "parts or views"}
 _PNG = b"\x89PNG\r\n\x1a\n"
 _TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
-_BY_PILLOW = {"PNG": _PNG, "JPEG": b"\xff\xd8", "BMP": b"BM"}
+_BY_PILLOW = {"PNG": _PNG, "JPEG": b"\xff\xd8", "BMP": b"BM", "WEBP": b"RIFF"}
 # TIFF and EXIF tags, and values of theirs
 _SUBFILE_TYPE, _REDUCED = 254, 1
 _MOST_PAGES = 64  # that are looked at; those of a damaged file may lead round in a circle
 _PHOTOMETRIC, _BLACK_IS_ZERO, _MOSAIC = 262, 1, 32803
 _PHOTOMETRIC_READ = (_BLACK_IS_ZERO, 2, 3, _MOSAIC)  # 2: RGB, 3: palette
-_CFA_PATTERN = 33422
+_CFA_PATTERN, _ICC_PROFILE, _DNG_VERSION = 33422, 34675, 50706
+_ACROSS, _DOWN = 282, 283  # pixels in a length
 _BAYER_BY_CODES = {bytes("rgb".index(colour) for colour in bayer.value): bayer for bayer in Bayer}
 _PHOTOMETRIC_NAMES = {
     0: "grey with white as zero", 4: "a transparency mask", 5: "CMYK", 6: "YCbCr", 8: "CIELAB", 9: "ICCLAB",
@@ -48,6 +59,21 @@ _ORIENTATION, _EXIF_IFD, _COLOUR_SPACE, _SRGB, _FOCAL_35MM = 274, 0x8769, 0xA001
 _DIAGONAL_MM = 43.27  # of 24×36 mm
 # sampling factors of luma: chroma's own are 1 × 1 in practice
 _JPEG_CHROMA = {(2, 2): "4:2:0", (2, 1): "4:2:2", (1, 2): "4:4:0", (4, 1): "4:1:1"}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DecodedImage:
+    """Encoded values as stored: colours (h, w, 1 or 3), RGB, upright; alpha (h, w), None for none."""
+
+    colours: Array
+    alpha: Array | None
+    header: "ImageHeader"
+
+    @property
+    def rgb(self) -> Array:
+        """The colours as (h, w, 3); grey is repeated."""
+        grey = self.colours.shape[2] == 1
+        return np.repeat(self.colours, 3, axis=2) if grey else np.ascontiguousarray(self.colours)
 
 
 def read_image(
@@ -62,32 +88,39 @@ def read_image(
     Grey is repeated in the three channels. An alpha channel is dropped where it is opaque everywhere and
     refused where it is not, since the colour beneath it is undefined. max_megapixels: None for the limit of
     `reading_limits`. sensor: how camera raw files and Bayer mosaics are read. Raises `error` with one line
-    for a file that is missing, empty, damaged, too large, or holds NaN.
+    for a file that is missing, empty, damaged, too large, holds NaN or states what is not read.
     """
     sensor = sensor or SensorOptions()
     if mosaics.is_raw(path):
         return mosaics.read_raw(path, sensor.demosaic, max_megapixels=max_megapixels, error=error)[0]
-    colours, alpha = _decode(path, max_megapixels, error, sensor)
-    if alpha is not None:
-        _require_opaque(alpha, path, error)
-    return _in_three_channels(colours)
+    return read_opaque_image(path, max_megapixels=max_megapixels, sensor=sensor, error=error).rgb
+
+
+def read_opaque_image(
+    path: Path | str,
+    *,
+    max_megapixels: float | None = None,
+    sensor: SensorOptions | None = None,
+    error: type[BadInput] = BadCapture,
+) -> DecodedImage:
+    """Read an image that is no camera raw file, with what it states, as `read_image`."""
+    image = decode_image(path, max_megapixels=max_megapixels, sensor=sensor or SensorOptions(), error=error)
+    if image.alpha is not None:
+        require_opaque(image.alpha, str(path), error)
+    return image
 
 
 def read_image_with_alpha(
     path: Path | str, *, max_megapixels: float | None = None
 ) -> tuple[Array, Mask | None]:
     """Read (h, w, 3) RGB and, where there is an alpha channel, the (h, w) mask of alpha >= half."""
-    colours, alpha = _decode(path, max_megapixels, BadInput)
-    if alpha is None:
-        return _in_three_channels(colours), None
-    full = 1.0 if alpha.dtype == np.float32 else np.iinfo(alpha.dtype).max
-    return _in_three_channels(colours), alpha >= full / 2
+    image = decode_image(path, max_megapixels=max_megapixels)
+    return image.rgb, None if image.alpha is None else image.alpha >= full_scale(image.alpha) / 2
 
 
-def read_grey(path: Path | str, *, max_megapixels: float | None = None) -> Array:
-    """Read an image as (h, w): grey as stored, colour by its largest channel (so any paint counts)."""
-    colours, _ = _decode(path, max_megapixels, BadInput)
-    return np.asarray(colours.max(axis=2))
+def full_scale(samples: Array) -> float:
+    """Return the value of full scale of integer or float samples."""
+    return 1.0 if samples.dtype == np.float32 else float(np.iinfo(samples.dtype).max)
 
 
 def write_png(path: Path | str, pixels: Array, *, compression_level: int = 1) -> None:
@@ -147,24 +180,50 @@ def resized_image(pixels: ByteArray, largest_px: int, *, smooth: bool = True) ->
     return np.asarray(cv2.resize(np.ascontiguousarray(pixels), size, interpolation=method), dtype=np.uint8)
 
 
-def _decode(
+def decode_image(
     path: Path | str,
-    max_megapixels: float | None,
-    error: type[BadInput],
+    *,
+    max_megapixels: float | None = None,
     sensor: SensorOptions | None = None,
-) -> tuple[Array, Array | None]:
-    """Return colours (h, w, 1 or 3), RGB, and alpha (h, w) or None. sensor: for Bayer mosaics, or None."""
+    error: type[BadInput] = BadInput,
+) -> DecodedImage:
+    """Read an image that is no camera raw file. sensor: for Bayer mosaics, or None."""
     with opened(path, error) as stream:
         header = header_of_stream(stream, str(path), error)
         require_pixels(header.width, header.height, max_megapixels, str(path), error)
         if header.format == "EXR":
-            return _pixels_from_exr(path, max_megapixels, error)
+            colours, alpha = _pixels_from_exr(path, header.stated, max_megapixels, error)
+            return DecodedImage(colours=colours, alpha=alpha, header=header)
         stream.seek(0)
         data = stream.read()
+    pixels = _samples(data, header, path, error)
     bayer = None if sensor is None else sensor.bayer or header.bayer
+    if header.mosaic_at and bayer is None:
+        raise error(f"{path}: is stored as a Bayer mosaic; give --bayer with its pattern, such as rggb")
+    turn = header.stated.orientation
+    if bayer is not None and sensor is not None:
+        if pixels.ndim != 2:
+            raise error(f"{path}: --bayer needs one sample a pixel, got {pixels.shape[2]}; leave it out")
+        if header.format == "TIFF" and turn != UPRIGHT:  # the pattern would be turned with it
+            raise error(f"{path}: is a Bayer mosaic that is to be shown turned; save it upright")
+        rgb = mosaics.rgb_from_mosaic(pixels, bayer, sensor.demosaic, str(path))
+        return DecodedImage(colours=turn.upright(rgb), alpha=None, header=header)
+    if header.format != "TIFF":  # which OpenCV itself turns upright, and no other
+        pixels = turn.upright(pixels)
+    if pixels.ndim == 3 and pixels.shape[2] >= 3:
+        order = cv2.COLOR_BGR2RGB if pixels.shape[2] == 3 else cv2.COLOR_BGRA2RGBA
+        pixels = cv2.cvtColor(pixels, order)
+    pixels = np.atleast_3d(pixels)
+    if pixels.shape[2] in (2, 4):
+        return DecodedImage(colours=pixels[..., :-1], alpha=pixels[..., -1], header=header)
+    return DecodedImage(colours=pixels, alpha=None, header=header)
+
+
+def _samples(data: bytes, header: "ImageHeader", path: Path | str, error: type[BadInput]) -> Array:
+    """Return samples in OpenCV's order: 8 or 16 bits, whose full scale is all ones, or finite floats."""
+    if header.planar or (header.floating and header.bits == 16):
+        return _sound_samples(_decoded_by_tifffile(data, header, path, error), header, path, error)
     if header.mosaic_at:
-        if bayer is None:
-            raise error(f"{path}: is stored as a Bayer mosaic; give --bayer with its pattern, such as rggb")
         grey = struct.pack("<H" if data[:2] == b"II" else ">H", _BLACK_IS_ZERO)  # which OpenCV reads
         data = data[: header.mosaic_at] + grey + data[header.mosaic_at + 2 :]
     # a damaged file is reported by the one line below, not by OpenCV on stderr
@@ -174,23 +233,35 @@ def _decode(
             pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error:
         pixels = None
+    if pixels is None and header.tiled:  # of which OpenCV 5.0 reads few
+        pixels = _decoded_by_tifffile(data, header, path, error)
     if pixels is None:
         raise error(f"{path}: the {header.format} file is damaged or cut off")
-    pixels = _sound_samples(pixels, header, path, error)
-    if bayer is not None and sensor is not None:
-        if pixels.ndim != 2:
-            raise error(f"{path}: --bayer needs one sample a pixel, got {pixels.shape[2]}; leave it out")
-        if header.format == "TIFF" and header.orientation != UPRIGHT:  # the pattern would be turned with it
-            raise error(f"{path}: is a Bayer mosaic that is to be shown turned; save it upright")
-        rgb = mosaics.rgb_from_mosaic(pixels, bayer, sensor.demosaic, str(path))
-        return header.orientation.upright(rgb), None
-    if header.format != "TIFF":  # which OpenCV itself turns upright, and no other
-        pixels = header.orientation.upright(pixels)
-    if pixels.ndim == 3 and pixels.shape[2] >= 3:
-        order = cv2.COLOR_BGR2RGB if pixels.shape[2] == 3 else cv2.COLOR_BGRA2RGBA
-        pixels = cv2.cvtColor(pixels, order)
-    pixels = np.atleast_3d(pixels)
-    return (pixels[..., :-1], pixels[..., -1]) if pixels.shape[2] in (2, 4) else (pixels, None)
+    return _sound_samples(pixels, header, path, error)
+
+
+def _decoded_by_tifffile(
+    data: bytes, header: "ImageHeader", path: Path | str, error: type[BadInput]
+) -> Array:
+    """Return half floats, or channels stored apart, as OpenCV does others: upright and in its order."""
+    import tifffile
+
+    try:
+        with tifffile.TiffFile(io.BytesIO(data)) as tiff:
+            page: Any = tiff.pages[0]
+            values: Array = page.asarray()
+    except (ValueError, KeyError, TypeError, RuntimeError, OSError, struct.error) as problem:
+        raise error(
+            f"{path}: its samples are damaged, or compressed in a way that is not read; save them without "
+            "compression"
+        ) from problem
+    values = np.moveaxis(values, 0, -1) if header.planar else values
+    values = header.stated.orientation.upright(values)
+    if values.dtype == np.float16:
+        values = values.astype(np.float32)
+    if values.ndim == 3 and values.shape[2] >= 3:
+        values[..., :3] = values[..., 2::-1].copy()
+    return values
 
 
 def _sound_samples(pixels: Array, header: "ImageHeader", path: Path | str, error: type[BadInput]) -> Array:
@@ -209,12 +280,8 @@ def _sound_samples(pixels: Array, header: "ImageHeader", path: Path | str, error
     return pixels
 
 
-def _in_three_channels(colours: Array) -> Array:
-    return np.repeat(colours, 3, axis=2) if colours.shape[2] == 1 else np.ascontiguousarray(colours)
-
-
 def _pixels_from_exr(
-    path: Path | str, max_megapixels: float | None, error: type[BadInput]
+    path: Path | str, stated: Stated, max_megapixels: float | None, error: type[BadInput]
 ) -> tuple[Float32Array, Float32Array | None]:
     channels, _ = read_exr(path, max_megapixels=max_megapixels, error=error)
     names = next((kept for group in ("RGB", "YZ", "A") if (kept := [n for n in group if n in channels])), [])
@@ -222,6 +289,9 @@ def _pixels_from_exr(
         raise error(f"{path}: expected the channels R, G, B (or Y), found {', '.join(channels)}")
     pixels = np.stack([channels[name] for name in names], axis=-1).astype(np.float32)
     _require_numbers(pixels, path, error)
+    to_bt709 = bt709_from(stated.chromaticities)
+    if len(names) == 3 and to_bt709 is not None:
+        pixels = pixels @ to_bt709.T.astype(np.float32)
     if "A" not in channels or names == ["A"]:
         return pixels, None
     alpha = channels["A"].astype(np.float32)
@@ -242,25 +312,25 @@ def _require_numbers(pixels: Array, path: Path | str, error: type[BadInput]) -> 
         )
 
 
-def _require_opaque(alpha: Array, path: Path | str, error: type[BadInput]) -> None:
-    full = 1.0 if alpha.dtype == np.float32 else np.iinfo(alpha.dtype).max
-    see_through = int(np.count_nonzero(alpha < full))
+def require_opaque(alpha: Array, name: str, error: type[BadInput] = BadCapture) -> None:
+    """Raise `error` where an alpha channel lets the ground through: the colour there is undefined."""
+    see_through = int(np.count_nonzero(alpha < full_scale(alpha)))
     if see_through:
         bits = "floating-point" if alpha.dtype == np.float32 else f"{alpha.dtype.itemsize * 8}-bit"
         raise error(
-            f"{path}: the {bits} alpha channel is not opaque at {see_through} pixels, and colour under it is "
+            f"{name}: the {bits} alpha channel is not opaque at {see_through} pixels, and colour under it is "
             "undefined; save without alpha and give the outline as --mask"
         )
 
 
 @dataclass(frozen=True, kw_only=True)
 class ImageHeader:
-    """What an image file states.
+    """How an image file stores its picture.
 
     format: its name. width, height: as stored, pixels. channels: alpha included. bits: per sample. chroma:
-    subsampling (JPEG). orientation: what turns the picture upright. stated_transfer: curve, as `Transfer`
-    reads it, empty for none. mosaic_at: byte of a TIFF that states a Bayer mosaic, 0 for none. bayer: its
-    pattern, None for none or one that is not stated. stated_focal_px: focal length, None for none.
+    subsampling (JPEG, WebP). stated: what else it states. mosaic_at: byte of a TIFF that states a Bayer
+    mosaic, 0 for none. bayer: its pattern, None for none or one that is not stated. planar: the channels of a
+    TIFF are stored apart. tiled: its pixels are stored in tiles.
     """
 
     format: str
@@ -270,27 +340,36 @@ class ImageHeader:
     bits: int
     floating: bool = False
     chroma: str = "4:4:4"
-    orientation: Orientation = UPRIGHT
-    stated_transfer: str = ""
+    stated: Stated = field(default_factory=Stated)
     mosaic_at: int = 0
     bayer: Bayer | None = None
-    stated_focal_px: float | None = None
+    planar: bool = False
+    tiled: bool = False
 
 
 # Size and sample depth of an image from its first bytes, before any pixel is decoded.
 
 
 def header_of_stream(stream: BinaryIO, name: str, error: type[BadInput] = BadCapture) -> ImageHeader:
-    """Parse the header of an image file; raise `error` for one far longer than its image can be.
+    """Read the header of an image file; raise `error` for what it states and no reader heeds.
 
-    Nothing but the header is read of a long file.
+    Nothing but the header is read of a long file; one far longer than its image can be is refused.
     """
     size = stream.seek(0, os.SEEK_END)
     stream.seek(0)
     data = stream.read(_LONGEST_HEADER)
-    if data.startswith(_PNG):
-        _require_sound_chunks(stream, name, error)
-    header = read_image_header(data, name, error, stream if size > len(data) else None)
+    codes = _sound_chunks(stream, name, error).get(b"cICP", b"") if data.startswith(_PNG) else b""
+    stream.seek(0)
+    try:
+        if data.startswith(exr.MAGIC):
+            header = _of_exr(exr.read_exr_header(data, name, error))
+        elif data.startswith(_TIFF):
+            header = _tiff(stream if size > len(data) else io.BytesIO(data), name, error)
+        else:
+            header = _by_pillow(data, name, codes, error)
+    except (struct.error, IndexError, ValueError, KeyError, SyntaxError, OSError) as problem:
+        raise error(f"{name}: the image header is damaged or cut off") from problem
+    require_heeded(header.stated, name, error, _COUNTED.get(header.format, "pictures"))
     raw = header.width * header.height * header.channels * max(1, header.bits // 8)
     if size > 2 * raw + _LONGEST_HEADER:
         size_px = f"{header.width}×{header.height}"
@@ -300,45 +379,31 @@ def header_of_stream(stream: BinaryIO, name: str, error: type[BadInput] = BadCap
     return header
 
 
-def read_image_header(
-    data: bytes, name: str, error: type[BadInput] = BadCapture, stream: BinaryIO | None = None
-) -> ImageHeader:
-    """Read the header of a PNG, JPEG, TIFF, BMP or EXR file given as bytes; raise `error` with one line.
-
-    stream: the file, where `data` is only its beginning: a TIFF may have its header at the end.
-    """
-    if data.startswith(exr.MAGIC):
-        found = exr.read_exr_header(data, name, error)
-        count = len(found.channels)
-        return ImageHeader(
-            format="EXR", width=found.width, height=found.height, channels=count, bits=32, floating=True
-        )
-    try:
-        if data.startswith(_TIFF):
-            return _tiff(stream or io.BytesIO(data), name, error)
-        for format_name, magic in _BY_PILLOW.items():
-            if data.startswith(magic):
-                return _by_pillow(data, format_name)
-    except (struct.error, IndexError, ValueError, KeyError, SyntaxError, OSError) as problem:
-        raise error(f"{name}: the image header is damaged or cut off") from problem
-    raise error(f"{name}: is not a PNG, TIFF, JPEG, BMP or EXR image")
+def _of_exr(found: exr.ExrHeader) -> ImageHeader:
+    return ImageHeader(
+        format="EXR", width=found.width, height=found.height, channels=len(found.channels), bits=32,
+        floating=True, stated=found.stated,
+    )  # fmt: skip
 
 
-def _by_pillow(data: bytes, format_name: str) -> ImageHeader:
-    from PIL import BmpImagePlugin, JpegImagePlugin, PngImagePlugin
+def _by_pillow(data: bytes, name: str, codes: bytes, error: type[BadInput]) -> ImageHeader:
+    """codes: of a PNG's cICP chunk, empty for none."""
+    from PIL import BmpImagePlugin, JpegImagePlugin, PngImagePlugin, WebPImagePlugin
 
     # the classes themselves: `Image.open` has a limit of its own for the number of pixels
     readers: dict[str, Any] = {
         "PNG": PngImagePlugin.PngImageFile,
         "JPEG": JpegImagePlugin.JpegImageFile,
         "BMP": BmpImagePlugin.BmpImageFile,
+        "WEBP": WebPImagePlugin.WebPImageFile,
     }
+    format_name = next((known for known, magic in _BY_PILLOW.items() if data.startswith(magic)), None)
+    if format_name is None or (format_name == "WEBP" and data[8:12] != b"WEBP"):
+        raise error(f"{name}: is not a PNG, TIFF, JPEG, BMP, WebP or EXR image")
     image = readers[format_name](io.BytesIO(data))
-    chroma = "4:4:4"
+    chroma = "4:2:0" if format_name == "WEBP" and b"VP8 " in data[12:4096] else "4:4:4"
     if isinstance(image, JpegImagePlugin.JpegImageFile) and image.layers == 3:
         chroma = _JPEG_CHROMA.get((image.layer[0][1], image.layer[0][2]), chroma)
-    orientation, transfer, focal_mm = _stated_by(image)
-    focal_px = focal_mm / _DIAGONAL_MM * math.hypot(image.width, image.height)
     return ImageHeader(
         format=format_name,
         width=image.width,
@@ -346,45 +411,60 @@ def _by_pillow(data: bytes, format_name: str) -> ImageHeader:
         channels=3 if image.mode == "P" else len(image.getbands()),
         bits=16 if image.tile and "16" in str(image.tile[0][3]) else 8,
         chroma=chroma,
-        orientation=orientation,
-        stated_transfer=transfer,
-        stated_focal_px=focal_px or None,
+        stated=_stated_by(image, codes),
     )
 
 
-def _stated_by(image: Any) -> tuple[Orientation, str, float]:
-    """Return orientation, transfer curve, focal length (of 35 mm film, 0 for none) of EXIF and PNG chunks."""
-    value, is_srgb, focal_mm = 1, "srgb" in image.info, 0.0
+def _stated_by(image: Any, codes: bytes) -> Stated:
+    """Gather it from EXIF, profile and chunks; of several curves the one that PNG ranks first counts."""
+    said = image.info
+    value, is_srgb, focal_mm = 1, "srgb" in said, 0.0
     # without this test, Pillow decodes the whole PNG to look for EXIF data behind the picture
-    if "exif" in image.info:
+    if "exif" in said:
         with contextlib.suppress(struct.error, ValueError, KeyError, TypeError, SyntaxError, OSError):
             exif = image.getexif()
             value = exif.get(_ORIENTATION, 1)
             more = exif.get_ifd(_EXIF_IFD)
             is_srgb = is_srgb or more.get(_COLOUR_SPACE) == _SRGB
             focal_mm = float(more.get(_FOCAL_35MM, 0))
-    gamma = image.info.get("gamma")
-    transfer = "srgb" if is_srgb else f"gamma:{1 / gamma:.3g}" if gamma else ""
-    upright = Orientation.from_exif(value) if isinstance(value, int) else UPRIGHT
-    return upright, "linear" if transfer == "gamma:1" else transfer, focal_mm
+    transfer = "srgb" if is_srgb else f"gamma:{1 / said['gamma']:.3g}" if said.get("gamma") else ""
+    if said.get("icc_profile"):
+        transfer = curve_of_profile(said["icc_profile"])
+    if codes:
+        transfer = TRANSFER_NAMES.get(codes[1], "") if codes[3] else "of limited range"
+    density = said.get("aspect") or said.get("dpi") or (1, 1)
+    if said.get("jfif_unit") == 0:
+        density = said["jfif_density"]
+    focal_px = focal_mm / _DIAGONAL_MM * math.hypot(image.width, image.height)
+    return Stated(
+        transfer="linear" if transfer == "gamma:1" else transfer,
+        orientation=Orientation.from_exif(value) if isinstance(value, int) else UPRIGHT,
+        pixel_aspect=aspect_of_density(*density),
+        pictures=getattr(image, "n_frames", 1),
+        colours=image.mode if image.mode in ("CMYK", "LAB", "YCbCr") else "",
+        focal_px=focal_px or None,
+    )
 
 
-def _require_sound_chunks(stream: BinaryIO, name: str, error: type[BadInput]) -> None:
-    """Check every chunk's length and CRC: libpng prints of its own what it finds, and lets some pass."""
+def _sound_chunks(stream: BinaryIO, name: str, error: type[BadInput]) -> dict[bytes, bytes]:
+    """Return a PNG's short chunks; all CRCs are checked, since libpng prints faults, or lets them pass."""
+    found: dict[bytes, bytes] = {}
     at, size = 8, stream.seek(0, os.SEEK_END)
     stream.seek(at)
     while at + 12 <= size:
         length, kind = struct.unpack(">I4s", stream.read(8))
         if at + 12 + length > size:
             break
-        crc, left = zlib.crc32(kind), length
+        crc, left, piece = zlib.crc32(kind), length, b""
         while left:
             piece = stream.read(min(left, _PIECE_BYTES))
             crc, left = zlib.crc32(piece, crc), left - len(piece)
         if crc != struct.unpack(">I", stream.read(4))[0]:
             raise error(f"{name}: the PNG file is damaged: the checksum at byte {at} is wrong; copy it again")
+        if length <= _SHORT_CHUNK:
+            found[kind] = piece
         if kind == b"IEND":
-            return
+            return found
         at += 12 + length
     raise error(f"{name}: the PNG file is cut off; copy or write it again")
 
@@ -394,15 +474,11 @@ def _tiff(stream: BinaryIO, name: str, error: type[BadInput]) -> ImageHeader:
 
     logging.getLogger("tifffile").setLevel(logging.CRITICAL + 1)  # of a damaged file the caller tells
     try:
-        stream.seek(0)
         with tifffile.TiffFile(stream) as tiff:
             page: Any = tiff.pages[0]
-            _require_one_colour_picture(tiff, name, error)
+            if _DNG_VERSION in page.tags:
+                raise error(f"{name}: is a camera raw file with levels of its own; rename it to .dng")
             bits = page.bitspersample
-            if page.samplesperpixel > 1 and page.planarconfig != 1:  # OpenCV takes them as interleaved
-                raise error(
-                    f"{name}: stores its channels apart (planar), expected RGB pixel by pixel; save it so"
-                )
             return ImageHeader(
                 format="TIFF",
                 width=int(page.imagewidth),
@@ -410,7 +486,9 @@ def _tiff(stream: BinaryIO, name: str, error: type[BadInput]) -> ImageHeader:
                 channels=int(page.samplesperpixel),
                 bits=int(bits[0] if isinstance(bits, tuple) else bits),
                 floating=page.sampleformat == 3,
-                orientation=Orientation.from_exif(int(page.tags.valueof(_ORIENTATION, 1))),
+                stated=_stated_by_tiff(tiff, page),
+                tiled=bool(page.is_tiled),
+                planar=page.samplesperpixel > 1 and page.planarconfig != 1,  # which OpenCV would interleave
                 mosaic_at=page.tags[_PHOTOMETRIC].valueoffset if page.photometric == _MOSAIC else 0,
                 bayer=_BAYER_BY_CODES.get(bytes(page.tags.valueof(_CFA_PATTERN, b""))),
             )
@@ -418,17 +496,18 @@ def _tiff(stream: BinaryIO, name: str, error: type[BadInput]) -> ImageHeader:
         raise ValueError(str(problem)) from problem
 
 
-def _require_one_colour_picture(tiff: Any, name: str, error: type[BadInput]) -> None:
-    """Refuse what would be read as other colours than it holds, and pages that would be passed over."""
-    pages = itertools.islice(tiff.pages, _MOST_PAGES)
-    whole = sum(not int(page.tags.valueof(_SUBFILE_TYPE, 0)) & _REDUCED for page in pages)
-    if whole > 1:
-        counted = f"{whole} pages" + (" or more" if whole == _MOST_PAGES else "")
-        raise error(
-            f"{name}: holds {counted}, expected one picture a file; split it, for example: "
-            f"tiffsplit {shlex.quote(Path(name).name)} page_"
-        )
-    stored = int(tiff.pages[0].tags.valueof(_PHOTOMETRIC, 1))
+def _stated_by_tiff(tiff: Any, page: Any) -> Stated:
+    tags = page.tags
+    stored, colours = int(tags.valueof(_PHOTOMETRIC, 1)), ""
     if stored not in _PHOTOMETRIC_READ:
-        kind = _PHOTOMETRIC_NAMES.get(stored, f"photometric {stored}")
-        raise error(f"{name}: is stored as {kind}, expected RGB or grey with black as zero; save it so")
+        colours = _PHOTOMETRIC_NAMES.get(stored, f"photometric {stored}")
+    pages = itertools.islice(tiff.pages, _MOST_PAGES)
+    profile = tags.valueof(_ICC_PROFILE)
+    across, down = (tags.valueof(tag, (1, 1)) for tag in (_ACROSS, _DOWN))
+    return Stated(
+        transfer=curve_of_profile(bytes(profile)) if profile else "",
+        orientation=Orientation.from_exif(int(tags.valueof(_ORIENTATION, 1))),
+        pixel_aspect=aspect_of_density(across[0] * down[1], down[0] * across[1]),
+        pictures=sum(not int(each.tags.valueof(_SUBFILE_TYPE, 0)) & _REDUCED for each in pages),
+        colours=colours,
+    )

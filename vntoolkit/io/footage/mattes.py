@@ -9,13 +9,14 @@ import cv2
 import numpy as np
 
 from vntoolkit.arrays import LinearImage, Mask
-from vntoolkit.errors import BadCapture
+from vntoolkit.checks import require_shape
+from vntoolkit.errors import BadCapture, NoSubject
 from vntoolkit.io.files import reading_limits
 from vntoolkit.io.footage.captures import Capture, CaptureInfo, CaptureOptions, open_capture
 from vntoolkit.io.footage.decoding import EncodedFrame, linear_frame_from_encoded
 from vntoolkit.io.footage.sequence import CaptureKind, find_capture_files, text_of_names
-from vntoolkit.io.maps_and_meshes.label_images import read_mask
-from vntoolkit.options.footage import Gaps, MatteOptions
+from vntoolkit.io.maps_and_meshes.label_images import read_mask, read_matte
+from vntoolkit.options.footage import MatteOptions
 from vntoolkit.photometry.transfer import Transfer
 
 logger = logging.getLogger(__name__)
@@ -41,14 +42,14 @@ class Mattes:
         return self._of_frame is not None
 
     def of(self, frame: EncodedFrame) -> Mask | None:
-        """Return the (h, w) mask of a frame, None for all pixels; raise `BadCapture` where it is empty."""
+        """Return the (h, w) mask of a frame, None for all pixels; raise `NoSubject` where it is empty."""
         if self._of_frame is None:
             return self.still
         mask = self._of_frame(frame)
         if self.still is not None:
             mask = mask & self.still
         if not mask.any():
-            raise BadCapture(
+            raise NoSubject(
                 f"{frame.name}: its matte holds no pixel of the subject; lower --mask-level or --key"
             )
         return mask
@@ -105,47 +106,64 @@ def open_mattes(
 def _from_files(capture: Capture, source: Path | str, level: float) -> Mattes:
     size = (capture.info.width, capture.info.height)
     limit = capture.options.max_megapixels or reading_limits().max_megapixels
-    # a matte's curve shifts its soft edge less than the level does
-    how = CaptureOptions(transfer=Transfer(), gaps=Gaps.SKIP, max_megapixels=limit)
-    path = Path(source)
-    if path.is_file() and (find_capture_files(path).kind is CaptureKind.IMAGE):
-        return Mattes(still=read_mask(path, size=size, max_megapixels=limit, level=level), files=(path,))
-    mattes = open_capture(source, how)
-    found = (mattes.info.width, mattes.info.height)
-    if found != size:
-        raise BadCapture(f"{source}: the mattes are {found[0]}×{found[1]}, the capture {size[0]}×{size[1]}")
-    place = _places(capture.info, mattes.info, str(source))
-    there = set(mattes.present)
+    found = find_capture_files(source)
+    if found.kind is CaptureKind.IMAGE:
+        still = read_mask(found.files[0], size=size, max_megapixels=limit, level=level)
+        return Mattes(still=still, files=found.files)
+    if found.kind is CaptureKind.VIDEO:
+        # a matte's curve shifts its soft edge less than the level does
+        video = open_capture(source, CaptureOptions(transfer=Transfer(), max_megapixels=limit))
+        files, numbers = video.info.files, tuple(video.present)
 
-    def matte(frame: EncodedFrame) -> Mask:
+        def matte(place: int) -> Mask:
+            stored = video.encoded(place)
+            return np.asarray(stored.values.max(axis=2) > level * (2**stored.bits - 1))
+    else:
+        files, numbers = found.files, found.numbers
+        by_number = dict(zip(numbers, files, strict=True))
+
+        def matte(place: int) -> Mask:
+            return read_matte(by_number[place], max_megapixels=limit, level=level)
+
+    first = matte(numbers[0]).shape[::-1]
+    if first != size:
+        raise BadCapture(f"{source}: the mattes are {first[0]}×{first[1]}, the capture {size[0]}×{size[1]}")
+    place = _places(capture.info, numbers, found.stated, str(source))
+
+    def of_frame(frame: EncodedFrame) -> Mask:
         if frame.number not in place:
             raise BadCapture(f"{frame.name}: has no matte in {source}")
-        stored = mattes.encoded(place[frame.number])
-        if stored.values.dtype == np.float32:
-            return np.asarray(stored.values.max(axis=2) > level)
-        return np.asarray(stored.values.max(axis=2) > level * (2**stored.bits - 1))
+        mask = matte(place[frame.number])
+        require_shape(mask, frame.values.shape[:2], f"{source}: matte of frame {frame.number}", BadCapture)
+        return mask
 
-    numbers = frozenset(number for number, k in place.items() if k in there)
-    return Mattes(files=mattes.info.files, numbers=numbers, _of_frame=matte)
+    there = set(numbers)
+    return Mattes(
+        files=files, numbers=frozenset(n for n, k in place.items() if k in there), _of_frame=of_frame
+    )
 
 
-def _places(footage: CaptureInfo, mattes: CaptureInfo, name: str) -> dict[int, int]:
-    """Return which matte, counted from 0, belongs to each frame of the footage."""
+def _places(footage: CaptureInfo, numbers: Sequence[int], stated: Sequence[int], name: str) -> dict[int, int]:
+    """Return which matte, counted from 0, belongs to each frame of the footage.
+
+    numbers: of the mattes. stated: the numbers in their names; empty where these count nothing.
+    """
     frames = range(footage.frame_count)
-    if not mattes.stated:
-        return {number: number for number in frames if number < mattes.frame_count}
-    by_stated = dict(zip(mattes.stated, mattes.numbers, strict=True))
+    count = numbers[-1] + 1
+    if not stated:
+        return {number: number for number in frames if number < count}
+    by_stated = dict(zip(stated, numbers, strict=True))
     if footage.stated:
-        stated = dict(zip(footage.numbers, footage.stated, strict=True))
-        found = {n: by_stated[stated[n]] for n in stated if stated[n] in by_stated}
+        own = dict(zip(footage.numbers, footage.stated, strict=True))
+        found = {n: by_stated[own[n]] for n in own if own[n] in by_stated}
         if found:
             return found
         raise BadCapture(
             f"{name}: no matte has the number of a frame: the frames are {footage.stated[0]} to "
-            f"{footage.stated[-1]}, the mattes {mattes.stated[0]} to {mattes.stated[-1]}; name them alike"
+            f"{footage.stated[-1]}, the mattes {stated[0]} to {stated[-1]}; name them alike"
         )
     # The frames of a video are numbered by whoever made the mattes: from 0, or as FFmpeg does from 1.
-    first = mattes.stated[0] if mattes.frame_count == footage.frame_count else min(mattes.stated[0], 1)
+    first = stated[0] if count == footage.frame_count else min(stated[0], 1)
     logger.info("%s: the matte of number %d is that of the first frame", name, first)
     return {number: by_stated[number + first] for number in frames if number + first in by_stated}
 

@@ -1,12 +1,14 @@
 """Frames as the sensor recorded them: camera raw files, and Bayer mosaics that are stored as grey."""
 
+import contextlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
-from vntoolkit.arrays import Array, UInt16Array
+from vntoolkit.arrays import Array, ByteArray, Int64Array, UInt16Array
 from vntoolkit.errors import BadCapture, BadInput
 from vntoolkit.io.files import opened, require_pixels
 from vntoolkit.options.footage import Bayer, Demosaic
@@ -17,6 +19,7 @@ RAW_SUFFIXES = (
     ".3fr", ".fff", ".iiq", ".kdc", ".dcr", ".erf", ".mef", ".mos", ".mrw", ".rwl", ".x3f",
 )  # fmt: skip
 _FULL = 65535
+_CFA_PATTERN, _BLACK_REPEAT, _BLACK_LEVEL, _ACTIVE_AREA = 33422, 50713, 50714, 50829  # tags of DNG
 _TURNS = {3: "turned by 180°", 5: "turned by 270°", 6: "turned by 90°"}  # LibRaw's flip
 
 
@@ -61,17 +64,22 @@ def read_raw(
                 sizes = raw.sizes
                 require_pixels(sizes.width, sizes.height, max_megapixels, str(path), error)
                 raw.unpack()
+                saturation = int(raw.white_level or 0)
+                black = _black_levels(stream, raw.black_level_per_channel)
+                _fill_plateau(raw.raw_image, raw.raw_colors, saturation)
                 picture = raw.postprocess(
                     demosaic_algorithm=algorithms.AHD if demosaic is Demosaic.EDGE else algorithms.LINEAR,
                     half_size=demosaic is Demosaic.HALF,
                     gamma=(1, 1),
                     no_auto_bright=True,
                     adjust_maximum_thr=0.0,  # else full scale would follow the picture
-                    user_wb=[1, 1, 1, 1],
+                    user_black=0,
+                    user_cblack=black.tolist(),
+                    # LibRaw scales all channels from the lowest black level to the saturation
+                    user_wb=list((saturation - black.min()) / np.maximum(saturation - black, 1)),
                     output_color=rawpy.ColorSpace.raw,
                     output_bps=16,
                 )
-                saturation = int(raw.white_level or 0)
         except (rawpy.LibRawError, ValueError, OSError) as problem:
             reason = " ".join(str(problem).replace("b'", "").strip("'").split()).lower()
             raise error(
@@ -87,6 +95,54 @@ def read_raw(
         orientation=_TURNS.get(sizes.flip, ""),
     )
     return np.ascontiguousarray(picture), header
+
+
+def _black_levels(stream: BinaryIO, found: Sequence[int]) -> Int64Array:
+    """Return (4,) the black of red, green of red's rows, blue, and green of blue's rows.
+
+    found: by LibRaw. Where a DNG's picture begins at an odd row or column, LibRaw goes on to an even one, and
+    gives the levels of one colour to another: they are read here.
+    """
+    levels = np.array(found, np.int64)
+    if len(set(found)) == 1:
+        return levels
+    import tifffile
+
+    stream.seek(0)
+    with contextlib.suppress(tifffile.TiffFileError, ValueError, KeyError), tifffile.TiffFile(stream) as tiff:
+        for page in (
+            each for first in tiff.pages for each in (first, *(getattr(first, "pages", None) or ()))
+        ):
+            area = page.tags.valueof(_ACTIVE_AREA, (0, 0))
+            if _BLACK_LEVEL in page.tags and (area[0] % 2 or area[1] % 2):
+                rows, columns = page.tags.valueof(_BLACK_REPEAT, (1, 1))
+                stated = np.resize(page.tags.valueof(_BLACK_LEVEL), (rows, columns))
+                cell = np.tile(stated, (2 // rows, 2 // columns)).ravel()
+                colours = np.frombuffer(page.tags.valueof(_CFA_PATTERN), np.uint8).reshape(2, 2)
+                row_of_red = int((colours == 0).any(axis=1).argmax())
+                greens = np.array([[1, 1], [3, 3]] if row_of_red == 0 else [[3, 3], [1, 1]])
+                levels[np.where(colours == 1, greens, colours).ravel()] = cell
+    return levels
+
+
+def _fill_plateau(samples: UInt16Array | None, colours: ByteArray | None, saturation: int) -> None:
+    """Raise the samples at which the sensor stops to the saturation that the file states, where it is higher.
+
+    More samples at the largest value than in the last sixty-fourth below it are a plateau: light thins out.
+    It is the sensor's stop, and no even patch of the scene, where others lead up to it or all colours end
+    there. A value below LibRaw's three quarters of the saturation (its `adjust_maximum_thr`) is the scene's.
+    colours: which one each sample has.
+    """
+    if samples is None or samples.ndim != 2 or colours is None:  # red, green and blue at each pixel
+        return
+    top = int(samples.max())
+    if not 0.75 * saturation < top < saturation:
+        return
+    stop = samples == top
+    below = (samples >= top - top // 64) & ~stop
+    ends_in_all = all(stop[colours == colour].any() for colour in np.unique(colours)) and not stop.all()
+    if np.count_nonzero(stop) > np.count_nonzero(below) and (below.any() or ends_in_all):
+        samples[stop] = saturation
 
 
 def rgb_from_mosaic(

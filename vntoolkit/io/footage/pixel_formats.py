@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from vntoolkit.arrays import Array, Matrix3, UInt16Array, Vector3
-from vntoolkit.errors import BadCapture
+from vntoolkit.io.footage.decoding import YuvConversion
 from vntoolkit.io.footage.luma_detail import LumaDetail
 from vntoolkit.native import njit
 from vntoolkit.options.footage import Bayer
@@ -15,7 +15,7 @@ _UNSPECIFIED = 2  # AVCOL_SPC_UNSPECIFIED
 _SWS_ITU709, _SWS_ITU601 = 1, 5
 # Codecs whose decoded frame equals what was encoded, whatever their settings.
 LOSSLESS_CODECS = frozenset({"ffv1", "huffyuv", "ffvhuff", "utvideo", "rawvideo", "png", "qtrle", "magicyuv"})
-_FULL_RANGE = 2  # AVCOL_RANGE_JPEG
+_LIMITED_RANGE, _FULL_RANGE = 1, 2  # AVCOL_RANGE_MPEG, AVCOL_RANGE_JPEG
 # AVCOL_SPC_* to the luma weights (K_R, K_B): BT.709, FCC, BT.470BG and SMPTE 170M (BT.601), 240M, BT.2020.
 _LUMA_WEIGHTS = {
     1: (0.2126, 0.0722), 4: (0.30, 0.11), 5: (0.299, 0.114), 6: (0.299, 0.114), 7: (0.212, 0.087),
@@ -40,7 +40,7 @@ _OTHER_MATRICES = {
 class PixelFormat:
     """FFmpeg's name, bits per sample, chroma subsampling (`4:4:4` for RGB), and whether it is RGB or grey.
 
-    bayer: pattern of a mosaic, whose samples are one a pixel, as grey is.
+    bayer: pattern of a mosaic, whose samples are one a pixel, as grey is. has_alpha: beside the colours.
     """
 
     name: str
@@ -49,6 +49,7 @@ class PixelFormat:
     is_rgb: bool
     is_grey: bool = False
     bayer: Bayer | None = None
+    has_alpha: bool = False
 
     @classmethod
     def from_av(cls, video_format: Any) -> "PixelFormat":
@@ -67,6 +68,7 @@ class PixelFormat:
             chroma="grey" if grey else chroma.get((width, height), f"{width}/16 × {height}/16"),
             is_rgb=bool(video_format.is_rgb),
             is_grey=grey,
+            has_alpha=any(component.is_alpha for component in video_format.components),
         )
 
     @property
@@ -93,30 +95,25 @@ class PixelFormat:
         return self.name.startswith("gbrp") and self.name.endswith("le")
 
 
-@dataclass(frozen=True, kw_only=True)
-class YuvConversion:
-    """What a stream states of its YUV matrix and range, and what is taken: both as text, empty for no YUV."""
-
-    stated: str = ""
-    taken: str = ""
-
-
 def yuv_conversion(context: Any, pixel_format: PixelFormat, *, hd: bool) -> YuvConversion:
-    """Return how the colours of an opened stream are converted; raise `BadCapture` for a matrix not read."""
+    """Return how the colours of an opened stream are converted."""
     if pixel_format.is_rgb or pixel_format.is_grey:
         return YuvConversion()
     matrix, stated_range = int(context.colorspace), int(context.color_range)
-    if matrix in _OTHER_MATRICES:
-        raise BadCapture(
-            f"stores its colours as {_OTHER_MATRICES[matrix]}, expected RGB, or YUV of BT.601, BT.709 or "
-            "BT.2020; convert it with FFmpeg"
-        )
     is_full = stated_range == _FULL_RANGE or pixel_format.name.startswith("yuvj")
     span = "full" if is_full else "limited"
     stated = (_MATRIX_NAMES.get(matrix, ""), f"{span} range" if stated_range or is_full else "")
     taken = _MATRIX_NAMES.get(matrix) or ("BT.709" if hd else "BT.601")
     text = ", ".join(part for part in stated if part)
     return YuvConversion(stated=text or "nothing", taken=f"{taken}, {span} range")
+
+
+def unread_colours(context: Any, pixel_format: PixelFormat) -> str:
+    """Return the name of the colours that an opened stream states, where they are not read; else nothing."""
+    is_limited = int(context.color_range) == _LIMITED_RANGE
+    if pixel_format.is_rgb:
+        return "RGB of limited range" if is_limited else ""
+    return "" if pixel_format.is_grey else _OTHER_MATRICES.get(int(context.colorspace), "")
 
 
 def rgb_from_video_frame(

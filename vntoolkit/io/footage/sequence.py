@@ -9,6 +9,8 @@ from enum import Enum
 from itertools import pairwise
 from pathlib import Path
 
+import numpy as np
+
 from vntoolkit.errors import BadCapture
 from vntoolkit.io.files import require_file
 from vntoolkit.io.footage.images import SUFFIXES
@@ -141,28 +143,58 @@ def natural_key(path: Path) -> tuple[tuple[int, int, str], ...]:
 
 def _in_folder(folder: Path) -> tuple[tuple[Path, ...], tuple[Path, ...]]:
     """Return the frames of a folder, and the images in it that are none."""
-    files = [
-        path
-        for path in folder.iterdir()
-        if path.suffix.lower() in SUFFIXES and not path.name.startswith(".") and path.is_file()
-    ]
+    there = sorted((path for path in folder.iterdir() if path.is_file()), key=natural_key)
+    files = [path for path in there if path.suffix.lower() in SUFFIXES and not path.name.startswith(".")]
+    videos = [path.name for path in there if path.suffix.lower() in _VIDEO_SUFFIXES]
     if not files:
-        videos = [path.name for path in sorted(folder.iterdir()) if path.suffix.lower() in _VIDEO_SUFFIXES]
         instead = f"name the video, {folder / videos[0]}" if videos else _EXPECTED
         raise BadCapture(f"{folder}: holds no image ({', '.join(SUFFIXES[:9])}, …); {instead}")
     by_pattern: dict[str, list[Path]] = defaultdict(list)
-    for path in sorted(files, key=natural_key):
+    for path in files:
         by_pattern[pattern_of(path)].append(path)
     groups = sorted(by_pattern.values(), key=len, reverse=True)
-    if len(groups) == 1 or len(groups[0]) == 1:  # one sequence, or stills that are each named on their own
-        return tuple(files), ()
-    if len(groups[0]) == len(groups[1]):
-        ways = " or ".join(f"'{folder / re.sub(r'[0-9]+', '*', group[0].name)}'" for group in groups[:2])
+    series = [one for group in groups if len(group) > 1 for one in _takes(group)]
+    if len(series) > 1:
+        ways = " or ".join(f"'{folder / _glob_of(one)}'" for one in series[:2])
         raise BadCapture(
-            f"{folder}: holds {len(groups[0])} images each of more than one pattern of names, "
-            f"such as {groups[0][0].name} and {groups[1][0].name}; name the frames: {ways}"
+            f"{folder}: holds {len(series)} series of images, such as {series[0][0].name} and "
+            f"{series[1][0].name}; name the one that is meant: {ways}; or all of one pattern of names, as "
+            f"'{folder / _glob_of(groups[0])}'"
         )
+    if videos:
+        raise BadCapture(
+            f"{folder}: holds the video {videos[0]} and images, such as {files[0].name}; name the video, "
+            f"{folder / videos[0]}, or the images, '{folder / _glob_of(groups[0])}'"
+        )
+    if not series:  # stills that are each named on their own
+        return tuple(files), ()
     return tuple(groups[0]), tuple(path for group in groups[1:] for path in group)
+
+
+def _takes(files: list[Path]) -> list[list[Path]]:
+    """Return the files of one pattern apart, where each take or camera counts anew from one number.
+
+    Numbers that do not count, such as those of a clock, part nothing.
+    """
+    numbers = np.array([[int(number) for number in re.findall(r"\d+", path.name)] for path in files])
+    changing = np.flatnonzero((numbers != numbers[0]).any(axis=0))
+    if len(changing) < 2:
+        return [files]
+    takes: dict[tuple[int, ...], list[int]] = defaultdict(list)
+    for k, row in enumerate(numbers[:, changing].tolist()):
+        takes[tuple(row[:-1])].append(k)
+    counts = [np.sort(numbers[take, changing[-1]]) for take in takes.values()]
+    steps = np.concatenate([np.diff(count) for count in counts])
+    begin_alike = len({int(count[0]) for count in counts}) == 1
+    if not begin_alike or not len(steps) or not steps.min() or (steps % steps.min()).any():
+        return [files]
+    return [[files[k] for k in take] for take in takes.values()]
+
+
+def _glob_of(files: list[Path]) -> str:
+    """Return the pattern of a series: `*` for each number that is not the same in all of them."""
+    parts = zip(*(re.split(r"(\d+)", path.name) for path in files), strict=True)
+    return "".join(part[0] if len(set(part)) == 1 else "*" for part in parts)
 
 
 def _by_printf(pattern: Path) -> tuple[Path, ...]:

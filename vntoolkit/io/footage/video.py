@@ -24,9 +24,11 @@ from vntoolkit.errors import BadCapture, CannotWrite
 from vntoolkit.io.atomic import atomic_path
 from vntoolkit.io.files import require_file, require_pixels
 from vntoolkit.io.footage import pixel_formats
+from vntoolkit.io.footage.images import require_opaque
 from vntoolkit.io.footage.luma_detail import LumaDetail
 from vntoolkit.io.footage.mosaics import rgb_from_mosaic
 from vntoolkit.io.footage.orientation import UPRIGHT, Orientation
+from vntoolkit.io.footage.stated import TRANSFER_NAMES, Stated, require_heeded
 from vntoolkit.options.footage import Bayer, Demosaic, SensorOptions
 
 _HD_HEIGHT = 720
@@ -36,28 +38,10 @@ _WITHOUT_INDEX = ("mpegts", "mpeg")  # of camcorders: FFmpeg finds a time in the
 # They open other files, which no manifest names and which may lie outside the footage's folder.
 _LISTS_OF_FILES = {"concat", "dash", "hls", "imf", "lavfi", "rtp", "rtsp", "sap", "sdp", "vobsub"}
 _EARLY_S = 1  # more than a key frame is decoded ahead of its time
-# AVCOL_TRC_* that a stream may state, in our words; BT.601, xvYCC and BT.2020 share BT.709's curve.
-_TRANSFER_NAMES = {
-    1: "bt709",
-    4: "gamma:2.2",
-    5: "gamma:2.8",
-    6: "bt709",
-    7: "smpte240m",
-    8: "linear",
-    9: "log 100:1",
-    10: "log 316:1",
-    11: "bt709",
-    12: "bt1361",
-    13: "srgb",
-    14: "bt709",
-    15: "bt709",
-    16: "pq",
-    17: "smpte428",
-    18: "hlg",
-}
 _FIRST_INTERLACED = 2  # AVFieldOrder: 0 unknown, 1 progressive, then four orders of fields
 _MOST_REORDERED = 16  # frames that H.264 and HEVC may hold back
 _UNEVEN_S = 0.002  # a clock of milliseconds rounds by less
+_LONGEST_STEP_S = 3600.0  # between frames of one film, a time lapse too: more comes from a broken clock
 _logger = logging.getLogger(__name__)
 _FOOTER_BYTES = 8
 _BITS_REVERSED = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
@@ -98,24 +82,28 @@ class VideoReader:
                 raise BadCapture(f"{self.path}: no frame can be decoded; the file is damaged or cut off")
             self._stored_size = (int(context.width), int(context.height))
             self.codec = str(context.codec.name)
-            self.stated_transfer = _TRANSFER_NAMES.get(int(context.color_trc or 0), "")
             self.pixel_format = pixel_formats.PixelFormat.from_av(context.format)
-            try:
-                hd = int(context.height) >= _HD_HEIGHT
-                self.conversion = pixel_formats.yuv_conversion(context, self.pixel_format, hd=hd)
-            except BadCapture as problem:
-                raise BadCapture(f"{self.path}: {problem}") from problem
+            hd = int(context.height) >= _HD_HEIGHT
+            self.conversion = pixel_formats.yuv_conversion(context, self.pixel_format, hd=hd)
             self._demosaic = (sensor or SensorOptions()).demosaic
             self._bayer = self._pattern((sensor or SensorOptions()).bayer)
             self.takes_codes = takes_codes and not (self.pixel_format.is_rgb or self.pixel_format.is_grey)
             self._detail = detail if self.pixel_format.has_coarse_chroma else None
-            self._is_in_order = bool(context.has_b_frames) and container.format.name == "avi"
+            # AVI's times tell when a frame is decoded, not when it is shown
+            self._times_are_of_decoding = bool(context.has_b_frames) and container.format.name == "avi"
             rate = stream.average_rate or stream.guessed_rate or Fraction(30)
-            self.frame_rate_hz = float(rate)
+            self._stated_rate_hz = float(rate)
             self._time_base_s = float(stream.time_base)
             self._require_progressive(int(context.field_order or 0) >= _FIRST_INTERLACED)
-            self.orientation = self._stated_orientation(container)
-        turned = -1 if self.orientation.transposed else 1
+            self.stated = Stated(
+                transfer=TRANSFER_NAMES.get(int(context.color_trc or 0), ""),
+                orientation=self._stated_orientation(container),
+                pixel_aspect=float(stream.sample_aspect_ratio or 1),
+                colours=pixel_formats.unread_colours(context, self.pixel_format),
+                pictures=1 if stream.metadata.get("stereo_mode", "mono") == "mono" else 2,
+            )
+            require_heeded(self.stated, str(self.path), BadCapture, "views a frame (stereo)")
+        turned = -1 if self.stated.orientation.transposed else 1
         width, height = self._stored_size[::turned]
         smaller = 2 if self._bayer is not None and self._demosaic is Demosaic.HALF else 1
         self.width, self.height = width // smaller, height // smaller
@@ -142,14 +130,22 @@ class VideoReader:
             )
         return given or self.pixel_format.bayer
 
-    @property
-    def uneven_times_s(self) -> tuple[float, ...]:
-        """When each frame is shown, seconds from the first, where the rate varies; else nothing."""
-        times = np.array(self.index.times, np.float64) * self._time_base_s
-        even = np.linspace(times[0], times[-1], len(times))
-        if np.abs(times - even).max() <= max(_UNEVEN_S, 1.5 * self._time_base_s):
-            return ()
-        return tuple(np.round(times - times[0], 6).tolist())
+    @cached_property
+    def timing(self) -> "Timing":
+        """When the frames are shown."""
+        if self.index.unusable_times:
+            return Timing(rate_hz=self._stated_rate_hz, unusable=self.index.unusable_times)
+        times = (np.array(self.index.times, np.float64) - self.index.times[0]) * self._time_base_s
+        longest = np.diff(times).max(initial=0.0)
+        if longest > _LONGEST_STEP_S:
+            apart = f"the file puts two of its frames {longest / 3600:,.0f} hours apart"
+            return Timing(rate_hz=self._stated_rate_hz, unusable=apart)
+        mean_hz = (len(times) - 1) / times[-1] if len(times) > 1 else self._stated_rate_hz
+        for rate_hz in (self._stated_rate_hz, mean_hz):
+            deviation = np.abs(times - np.arange(len(times)) / rate_hz).max()
+            if deviation <= max(_UNEVEN_S, 1.5 * self._time_base_s):
+                return Timing(rate_hz=rate_hz)
+        return Timing(rate_hz=self._stated_rate_hz, uneven_s=tuple(np.round(times, 6).tolist()))
 
     def _require_progressive(self, is_interlaced: bool) -> None:
         if is_interlaced:
@@ -185,8 +181,8 @@ class VideoReader:
             with container:
                 checked = self.codec == "ffv1"
                 index = index_of_stream(container, stream, str(self.path), has_checksums=checked)
-            if self._is_in_order:  # its times tell when a frame is decoded, not when it is shown
-                index = replace(index, key_frames=(0,))
+            if self._times_are_of_decoding:
+                index = replace(index, key_frames=(0,), is_in_order=True)
             if len(_INDICES) >= _MOST_INDICES:
                 _INDICES.clear()
             _INDICES[known] = index
@@ -225,7 +221,7 @@ class VideoReader:
             next_number, decoded = self._waiting.pop()
             if self.index.key_frame_before(start) <= next_number <= start:
                 return decoded
-        if self._is_in_order:
+        if self.index.is_in_order:
             return zip(self.index.times, (frame for _, frame in self._decoded(None)), strict=False)
         from_time = self.index.times[self.index.key_frame_before(start)] if start else None
         return self._decoded(from_time, threads_work_on="SLICE" if alone else "AUTO")
@@ -243,7 +239,8 @@ class VideoReader:
         self, from_time: int | None, left_out: AbstractSet[int] = frozenset(), threads_work_on: str = "AUTO"
     ) -> Iterator[tuple[int | None, Any]]:
         """Yield (time, frame) from a key frame's time on. threads_work_on: FFmpeg's "SLICE" or "AUTO"."""
-        damaged_times = {self.index.times[number] for number in self.index.damaged}
+        damaged = () if self.index.is_in_order else self.index.damaged
+        damaged_times = {self.index.times[number] for number in damaged}
         errors = av_errors()  # here, since a decoder may be closed when nothing can be imported any more
         container, stream = open_video(self.path)
         with container:
@@ -274,13 +271,16 @@ class VideoReader:
         try:
             if self._bayer is not None:
                 mosaic = pixel_formats.mosaic_from_video_frame(frame, self.pixel_format)
-                return self.orientation.upright(rgb_from_mosaic(mosaic, self._bayer, self._demosaic))
+                return self.stated.orientation.upright(rgb_from_mosaic(mosaic, self._bayer, self._demosaic))
+            if self.pixel_format.has_alpha:
+                alpha = frame.reformat(format="rgba").to_ndarray()[..., 3]
+                require_opaque(alpha, f"{self.path}, frame {number}")
             how: dict[str, bool] = {"hd": height >= _HD_HEIGHT, "takes_codes": self.takes_codes}
             if self._detail is not None:
                 rgb = pixel_formats.rgb_with_luma_detail(frame, self.pixel_format, self._detail, **how)
             else:
                 rgb = pixel_formats.rgb_from_video_frame(frame, self.pixel_format, **how)
-            return self.orientation.upright(rgb)
+            return self.stated.orientation.upright(rgb)
         except av_errors() as error:
             raise self._damaged(number, f"its colours cannot be converted ({reason_of(error)})") from error
 
@@ -364,13 +364,17 @@ class VideoIndex:
     """When each frame is shown, in time base ticks, ascending; and how many the file promises.
 
     damaged: numbers of the frames whose checksum is wrong, and of those that build on one. key_frames:
-    numbers of the frames from which decoding can start, ascending.
+    numbers of the frames from which decoding can start, ascending. is_in_order: frames are stored as they are
+    shown, and their times do not tell one from another. unusable_times: what is wrong with the stated times,
+    in words; they are replaced by 0, 1, 2, …
     """
 
     times: tuple[int, ...]
     promised: int
     damaged: frozenset[int] = frozenset()
     key_frames: tuple[int, ...] = (0,)
+    is_in_order: bool = False
+    unusable_times: str = ""
 
     def key_frame_before(self, number: int) -> int:
         """Return the last key frame that is not after frame `number`; 0 where there is none."""
@@ -380,6 +384,19 @@ class VideoIndex:
     def nearest_key_frame(self, number: int) -> int:
         """Return the key frame closest to frame `number`, the earlier of two; 0 where there is none."""
         return min(self.key_frames, key=lambda key: abs(key - number), default=0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Timing:
+    """When the frames of a video are shown.
+
+    rate_hz: per second. uneven_s: seconds from the first, where the rate varies; else empty. unusable: what
+    is wrong with the times that the file states, in words; empty for nothing.
+    """
+
+    rate_hz: float
+    uneven_s: tuple[float, ...] = ()
+    unusable: str = ""
 
 
 @dataclass(kw_only=True)
@@ -407,12 +424,17 @@ def index_of_stream(container: Any, stream: Any, name: str, *, has_checksums: bo
     except av_errors() as error:
         _logger.debug("%s: demuxing ended early: %s", name, error)
         packets.broken += 1
-    packets.frames.sort(key=lambda frame: frame[0])
-    times = [time for time, _, _ in packets.frames]
-    if not times:
+    if not packets.frames:
         raise BadCapture(f"{name}: the video holds no frame")
-    missing = _missing_frames(container, stream, times, latest_s)
-    if (missing or packets.broken) and stream.codec_context.has_b_frames:
+    unusable = _wrong_with_times(packets)
+    if unusable:
+        times = list(range(len(packets.frames)))
+        missing = max(0, _declared_count(stream) - len(times))
+    else:
+        packets.frames.sort(key=lambda frame: frame[0])
+        times = [time for time, _, _ in packets.frames]
+        missing = _missing_frames(container, stream, times, latest_s)
+    if (missing or packets.broken) and not unusable and stream.codec_context.has_b_frames:
         whole = _frames_before_gap(times)
         del packets.frames[whole:], times[whole:]
         missing = _missing_frames(container, stream, times, latest_s)
@@ -422,8 +444,27 @@ def index_of_stream(container: Any, stream: Any, name: str, *, has_checksums: bo
         times=tuple(times),
         promised=len(times) + max(missing, packets.broken),
         damaged=_damaged_frames(packets) if is_checked else frozenset(),
-        key_frames=tuple(number for number, (_, is_key, _) in enumerate(packets.frames) if is_key),
+        key_frames=(0,)
+        if unusable
+        else tuple(number for number, (_, is_key, _) in enumerate(packets.frames) if is_key),
+        is_in_order=bool(unusable),
+        unusable_times=unusable,
     )
+
+
+def _wrong_with_times(packets: _Packets) -> str:
+    """Return what keeps the stated times from telling the frames' order; empty for nothing.
+
+    Frames that build on later ones are stored before these, so falling times count only where none does.
+    """
+    times = [time for time, _, _ in packets.frames]
+    if len(set(times)) == 1 < len(times):
+        return f"the file gives all {len(times)} frames one time"
+    if len(set(times)) < len(times):
+        return f"the file gives {len(times) - len(set(times))} of {len(times)} frames the time of another"
+    if times != sorted(times) and all(is_key for _, is_key, _ in packets.frames):
+        return "the file's times fall from one frame to the next"
+    return ""
 
 
 def _damaged_frames(packets: _Packets) -> frozenset[int]:
@@ -445,8 +486,7 @@ def _missing_frames(container: Any, stream: Any, times: list[int], latest_s: flo
     is the longest of its streams', so it counts only where no stream reaches it. latest_s: the end of the
     last packet of any stream. Time is compared, not rate × duration: the rate may vary.
     """
-    stated = stream.metadata.get("NUMBER_OF_FRAMES", "")
-    declared = int(stream.frames) or (int(stated) if stated.isdecimal() else 0)
+    declared = _declared_count(stream)
     if declared:
         return max(0, declared - len(times))
     rate = stream.average_rate or stream.guessed_rate
@@ -462,6 +502,12 @@ def _missing_frames(container: Any, stream: Any, times: list[int], latest_s: flo
             return 0
     last_end_s = float(times[-1] * stream.time_base) + 1 / float(rate)
     return max(0, round((end_s - last_end_s) * float(rate)))
+
+
+def _declared_count(stream: Any) -> int:
+    """Return the number of frames that the header states; 0 for none."""
+    stated = stream.metadata.get("NUMBER_OF_FRAMES", "")
+    return int(stream.frames) or (int(stated) if stated.isdecimal() else 0)
 
 
 def _seconds_from_tag(text: str) -> float | None:

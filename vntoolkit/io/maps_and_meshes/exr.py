@@ -17,6 +17,7 @@ from vntoolkit.checks import require_shape
 from vntoolkit.errors import BadCapture, BadInput
 from vntoolkit.io.atomic import aligned_memory, write_bytes, write_large
 from vntoolkit.io.files import opened, require_pixels
+from vntoolkit.io.footage.stated import BT709, Stated, require_heeded
 from vntoolkit.native import silenced_native_output
 
 MAGIC = b"\x76\x2f\x31\x01"
@@ -47,7 +48,7 @@ class ExrHeader:
     """What the header says: size in pixels, channel names and the text attributes.
 
     width, height: of the display window, the whole picture. left, top: where in it the stored pixels begin,
-    below 0 where they begin before it. parts: how many pictures the file holds.
+    below 0 where they begin before it. stated: what else it states.
     """
 
     width: int
@@ -56,9 +57,9 @@ class ExrHeader:
     texts: Mapping[str, str]
     stored_width: int
     stored_height: int
-    left: int = 0
-    top: int = 0
-    parts: int = 1
+    left: int
+    top: int
+    stated: Stated
 
 
 def read_exr_header(data: bytes, name: str, error: type[BadInput] = BadInput) -> ExrHeader:
@@ -70,6 +71,7 @@ def read_exr_header(data: bytes, name: str, error: type[BadInput] = BadInput) ->
             file = OpenEXR.File(io.BytesIO(data), header_only=True)
             header = file.header()
             channels = tuple(channel.name for channel in header["channels"])  # decoded here, as UTF-8
+            stated = _stated_by(header, len(file.parts))
     except (RuntimeError, ValueError, TypeError) as problem:
         raise error(f"{name}: the EXR header is damaged or cut off") from problem
     (x0, y0), (x1, y1) = (corner.tolist() for corner in header["dataWindow"])
@@ -81,9 +83,20 @@ def read_exr_header(data: bytes, name: str, error: type[BadInput] = BadInput) ->
         stored_height=y1 - y0 + 1,
         left=x0 - left,
         top=y0 - top,
-        parts=len(file.parts),
+        stated=stated,
         channels=channels,
         texts={key: value for key, value in header.items() if isinstance(value, str)},
+    )
+
+
+def _stated_by(header: Mapping[str, Any], parts: int) -> Stated:
+    coarse = any(channel.xSampling != 1 or channel.ySampling != 1 for channel in header["channels"])
+    is_split = any(channel.name in ("RY", "BY") for channel in header["channels"])
+    return Stated(
+        pixel_aspect=float(header.get("pixelAspectRatio", 1.0)),
+        pictures=max(parts, len(header.get("multiView", ()))),
+        colours="luminance and chroma" if is_split else "channels of several sizes" if coarse else "",
+        chromaticities=tuple(header.get("chromaticities", BT709)),
     )
 
 
@@ -107,10 +120,7 @@ def read_exr(
                 f"{path}: has {len(header.channels)} channels, at most {_MOST_CHANNELS} are read; save the "
                 "layer that is meant"
             )
-        if header.parts > 1:
-            raise error(
-                f"{path}: holds {header.parts} parts, expected one picture; save the part that is meant"
-            )
+        require_heeded(header.stated, str(path), error, "parts or views")
         layers = -(-len(header.channels) // _CHANNELS_OF_A_PIXEL)
         require_pixels(header.width * layers, header.height, max_megapixels, str(path), error)
         stored = header.stored_width * layers, header.stored_height

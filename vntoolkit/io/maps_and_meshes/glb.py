@@ -7,21 +7,23 @@ target, so a long one belongs into USD.
 import json
 import struct
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from vntoolkit import __version__
-from vntoolkit.arrays import Array, Float32Array, Points, UInt16Array
+from vntoolkit.arrays import Array, Float32Array, FloatArray, Points, UInt16Array
 from vntoolkit.checks import require_finite, require_positive, require_shape
 from vntoolkit.errors import BadMesh, CannotWrite
-from vntoolkit.geometry.mesh import Mesh, vertex_normals
+from vntoolkit.geometry.camera import ViewedFrom
+from vntoolkit.geometry.mesh import Mesh, require_times, vertex_normals
 from vntoolkit.geometry.motion import Motion
-from vntoolkit.geometry.skinned_clip import SkinnedClip, ViewedFrom
+from vntoolkit.geometry.skinned_clip import SkinnedClip
 from vntoolkit.io.atomic import atomic_path
 from vntoolkit.io.conventions import graphics_from_camera, motion_with_axes_turned
+from vntoolkit.io.maps_and_meshes.texture import SurfaceTexture
 
 MAX_BYTES = 512 * 2**20  # browsers and Blender hold the clip whole, and more than once
 _TYPES = {
@@ -89,36 +91,32 @@ class _Binary:
         return len(self.views) - 1
 
 
-@dataclass(frozen=True, kw_only=True)
-class Texture:
-    """Images on a surface's texture coordinates, as PNG files in memory, or None.
-
-    albedo: sRGB. normal: tangent space, x along u, y along v, z outwards.
-    """
-
-    albedo: bytes | None = None
-    normal: bytes | None = None
-
-
 def write_glb(
     path: Path | str,
     template: Mesh,
     frames: Iterable[Points],
     *,
     frame_rate_hz: float,
+    times_s: FloatArray | None = None,
     camera: ViewedFrom | None = None,
-    texture: Texture | None = None,
+    texture: SurfaceTexture | None = None,
 ) -> int:
     """Write a moving surface of fixed topology, lengths in metres; return the number of frames.
 
-    frames: vertices (n, 3) in the camera frame. Normals are those of each frame. Colours go as COLOR_0, or as
+    frames: vertices (n, 3) in the camera frame. times_s: (frames,) of each, rising; None for one every
+    1 / frame_rate_hz seconds. Normals are those of each frame. Colours go as COLOR_0, or as
     the texture where there is one, since programs multiply the two. Texture coordinates go as TEXCOORD_0. The
     material is matte and two-sided. Raises `CannotWrite` where the clip exceeds 512 MiB.
     """
     if texture is not None and texture.albedo is not None:
         template = replace(template, colours=None)
-    count, parts = _content(template, frames, frame_rate_hz, str(path), camera, texture)
-    _write(path, parts)
+    require_positive(frame_rate_hz, f"{path}: frame rate")
+    count, document, binary = _content(template, frames, str(path), camera, texture)
+    if count > 1:
+        seconds = np.arange(count) / frame_rate_hz if times_s is None else times_s
+        require_times(seconds, count, f"{path}: times")
+        document["animations"] = [_animation(binary, seconds)]
+    _write(path, _pieces(document, binary))
     return count
 
 
@@ -127,7 +125,7 @@ def write_glb_skin(
     clip: SkinnedClip,
     *,
     camera: ViewedFrom | None = None,
-    texture: Texture | None = None,
+    texture: SurfaceTexture | None = None,
 ) -> int:
     """Write a skinned surface with its skeleton and animation; return the number of frames.
 
@@ -148,13 +146,14 @@ def write_glb_skin(
     return len(motion)
 
 
-def _of_moderate_size(clip: SkinnedClip, texture: Texture | None) -> SkinnedClip:
+def _of_moderate_size(clip: SkinnedClip, texture: SurfaceTexture | None) -> SkinnedClip:
     """Return the clip with eight joints a vertex, and as many blend shapes as the surface leaves room for."""
     clip, count = clip.with_influences(_INFLUENCES), len(clip.mesh.vertices)
     surface = 80 * count + 12 * len(clip.mesh.faces)  # bytes of a vertex with all attributes, of a triangle
     if texture is not None:
-        surface += len(texture.albedo or b"") + len(texture.normal or b"")
+        surface += texture.normal.stat().st_size
         if texture.albedo is not None:
+            surface += texture.albedo.stat().st_size
             clip = replace(clip, mesh=replace(clip.mesh, colours=None))
     return clip.with_shapes(max(0, (_SKIN_BYTES - surface) // (12 * max(count, 1))))
 
@@ -258,7 +257,7 @@ def _document(
     nodes: list[dict[str, Any]],
     roots: list[int],
     camera: ViewedFrom | None,
-    texture: Texture | None,
+    texture: SurfaceTexture | None,
     binary: _Binary,
 ) -> dict[str, Any]:
     """Return the file's description, but for its animations."""
@@ -294,17 +293,16 @@ def _document(
     return document
 
 
-def _images(texture: Texture, material: dict[str, Any], binary: _Binary) -> dict[str, Any]:
+def _images(texture: SurfaceTexture, material: dict[str, Any], binary: _Binary) -> dict[str, Any]:
     """Embed the textures, and let the material show them."""
     images = []
-    for content in (texture.albedo, texture.normal):
-        if content is not None:
-            images.append({"bufferView": binary.add_file(content), "mimeType": "image/png"})
+    for file in (texture.albedo, texture.normal):
+        if file is not None:
+            images.append({"bufferView": binary.add_file(file.read_bytes()), "mimeType": "image/png"})
     looks = dict(material["pbrMetallicRoughness"])
     if texture.albedo is not None:
         looks["baseColorTexture"] = {"index": 0}
-    if texture.normal is not None:
-        material["normalTexture"] = {"index": len(images) - 1}
+    material["normalTexture"] = {"index": len(images) - 1}
     material["pbrMetallicRoughness"] = looks
     return {
         "images": images,
@@ -316,13 +314,11 @@ def _images(texture: Texture, material: dict[str, Any], binary: _Binary) -> dict
 def _content(
     template: Mesh,
     frames: Iterable[Points],
-    frame_rate_hz: float,
     name: str,
     camera: ViewedFrom | None,
-    texture: Texture | None,
-) -> tuple[int, list[bytes]]:
-    """Return the number of frames, and the file's bytes in pieces."""
-    require_positive(frame_rate_hz, f"{name}: frame rate")
+    texture: SurfaceTexture | None,
+) -> tuple[int, dict[str, Any], _Binary]:
+    """Return the number of frames, and what describes and holds them, but for their times."""
     nothing = BadMesh(f"{name}: a GLB needs at least one frame and one triangle")
     if not len(template.faces):
         raise nothing
@@ -352,8 +348,7 @@ def _content(
     if targets:
         primitive["targets"] = targets
         mesh["weights"] = [0.0] * len(targets)
-        document["animations"] = [_animation(binary, len(targets), frame_rate_hz)]
-    return len(targets) + 1, _pieces(document, binary)
+    return len(targets) + 1, document, binary
 
 
 def _normals(positions: Float32Array, template: Mesh) -> Float32Array:
@@ -383,12 +378,11 @@ def _add_surface(binary: _Binary, primitive: dict[str, Any], template: Mesh, pos
     )
 
 
-def _animation(binary: _Binary, targets: int, frame_rate_hz: float) -> dict[str, Any]:
+def _animation(binary: _Binary, times_s: FloatArray) -> dict[str, Any]:
     """Frame k has the weight of target k − 1 at 1 and all others at 0; frame 0 is the mesh itself."""
-    times = (np.arange(targets + 1) / frame_rate_hz).astype(np.float32)
-    weights = np.eye(targets + 1, targets, k=-1, dtype=np.float32)
+    weights = np.eye(len(times_s), len(times_s) - 1, k=-1, dtype=np.float32)
     sampler = {
-        "input": binary.add(times, "SCALAR"),
+        "input": binary.add(np.asarray(times_s, dtype=np.float32), "SCALAR"),
         "output": binary.add(weights.ravel(), "SCALAR"),
         "interpolation": "LINEAR",
     }

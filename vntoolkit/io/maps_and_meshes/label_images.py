@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
-from vntoolkit.arrays import ByteArray, Mask, VisibilityLabels
+from vntoolkit.arrays import Array, ByteArray, Mask, VisibilityLabels
 from vntoolkit.checks import require_shape, require_some
 from vntoolkit.errors import BadInput
 from vntoolkit.io.atomic import write_bytes
-from vntoolkit.io.footage.images import read_grey, read_image, write_png
+from vntoolkit.io.footage.images import decode_image, full_scale, read_image, write_png
 
 # Colour of material k in materials/*.png: told apart easily, and no claim about the material's own colour.
 MATERIAL_PALETTE = np.array(
@@ -58,16 +58,42 @@ def read_mask(
 ) -> Mask:
     """Read an (h, w) mask: True where a pixel is brighter than `level`, a share of full scale.
 
-    size: (width, height) that it must have. Integers that are only 0 and 1 count 1 as True.
+    size: (width, height) that it must have. Of integers that are 0 and one other, the other counts as True.
     """
-    grey = read_grey(path, max_megapixels=max_megapixels)
-    height, width = grey.shape
+    mask = read_matte(path, max_megapixels=max_megapixels, level=level)
+    height, width = mask.shape
     if size is not None and (width, height) != size:
         raise BadInput(f"{path}: the mask is {width}×{height}, the capture {size[0]}×{size[1]}")
-    least = level if grey.dtype == np.float32 else level * np.iinfo(grey.dtype).max
-    mask: Mask = grey > (0 if grey.dtype != np.float32 and grey.max() == 1 else least)
     require_some(mask, f"mask {path}")
     return mask
+
+
+def read_matte(path: Path | str, *, max_megapixels: float | None = None, level: float = 0.5) -> Mask:
+    """Read an (h, w) mask, which may hold no pixel, as `read_mask`.
+
+    Colours count by their largest channel, so that any paint is seen. An alpha channel that is not opaque is
+    the mask where the colours are all alike.
+    """
+    image = decode_image(path, max_megapixels=max_megapixels)
+    mask = _above(image.colours.max(axis=2), level)
+    alpha = image.alpha
+    if alpha is None or (alpha == full_scale(alpha)).all():
+        return mask
+    outline = _above(alpha, level)
+    if image.colours.min() != image.colours.max() and (outline != mask).any():
+        raise BadInput(
+            f"{path}: its colours and its alpha channel show different masks; save the one that is meant as "
+            "grey, without alpha"
+        )
+    return outline
+
+
+def _above(grey: Array, level: float) -> Mask:
+    """Return where values exceed `level`; of integers that are 0 and one other, where they are not 0."""
+    if grey.dtype == np.float32:
+        return np.asarray(grey > level)
+    is_label = bool(((grey == 0) | (grey == grey.max())).all())
+    return np.asarray(grey > (0 if is_label and grey.min() == 0 else level * full_scale(grey)))
 
 
 def write_materials(path: Path | str, labels: ByteArray) -> None:

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from vntoolkit.arrays import Array, DTypeLike, Float32Array, FloatArray, Flow, Int64Array, Mask, UInt16Array
+from vntoolkit.arrays import Array, Float32Array, FloatArray, Flow, Int64Array, Mask, UInt16Array
 from vntoolkit.checks import require_shape
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
@@ -110,24 +110,11 @@ def write_depth_map(
     """
     if Path(path).suffix.lower() != ".exr":
         raise BadInput(f"{path}: a depth map is written as .exr")
+    invalid = np.float32(np.nan)
+    channels: dict[str, Array] = {"Z": np.where(depth_map.mask, depth_map.depth, invalid).astype(np.float32)}
+    if depth_map.error_percent is not None:
+        channels[_DEPTH_ERROR_CHANNEL] = np.minimum(depth_map.error_percent, _MOST_PERCENT).astype(np.float16)
     attributes = {_UNIT_ATTRIBUTE: depth_map.unit.value}
-    kinds: dict[str, DTypeLike] = {"Z": np.float32}
-    error = depth_map.error_percent
-    if error is not None:
-        kinds[_DEPTH_ERROR_CHANNEL] = np.float16
-        error = np.ascontiguousarray(error)
-    exr = uncompressed_exr(depth_map.shape, kinds, attributes)
-    depth, mask = np.ascontiguousarray(depth_map.depth), np.ascontiguousarray(depth_map.mask)
-    at, error_at = exr.starts["Z"], exr.starts.get(_DEPTH_ERROR_CHANNEL, 0)
-    _fill_depth(depth, mask, error, exr.scanlines, at, error_at)
-    if compression is ExrCompression.NONE:
-        write_large(path, exr.content)
-        return
-    channels: dict[str, Array] = {}
-    for name, kind in kinds.items():
-        width = depth_map.shape[1] * np.dtype(kind).itemsize // 2
-        stored = exr.scanlines[:, exr.starts[name] : exr.starts[name] + width]
-        channels[name] = np.ascontiguousarray(stored).view(kind)
     write_exr(path, channels, attributes=attributes, compression=compression)
 
 
@@ -270,21 +257,3 @@ def _fill(normals, mask, weight, error, flips, rows, starts):  # type: ignore[no
             to, flip = rows[v, starts[k] : starts[k] + width], flips[k]
             for u in range(width):
                 to[u] = _half_bits(row[u], bits[u]) ^ flip
-
-
-@njit(cache=True)
-def _fill_depth(depth, mask, error, rows, start, error_start):  # type: ignore[no-untyped-def]  # pragma: no cover
-    height, width = mask.shape
-    row = np.empty(width, np.float32)
-    bits, halves = row.view(np.uint32), row.view(np.uint16)
-    for v in range(height):
-        for u in range(width):
-            row[u] = np.float32(depth[v, u]) if mask[v, u] else np.float32(np.nan)
-        for u in range(2 * width):
-            rows[v, start + u] = halves[u]
-        if error is not None:
-            for u in range(width):
-                row[u] = min(error[v, u], _MOST_PERCENT)
-            to = rows[v, error_start : error_start + width]
-            for u in range(width):
-                to[u] = _half_bits(row[u], bits[u])

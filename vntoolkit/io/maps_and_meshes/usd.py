@@ -9,7 +9,8 @@ motion plays too slowly. `scripts/check_in_blender.py` shows what arrives there.
 import contextlib
 import re
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from itertools import count as count_up
 from pathlib import Path
 from typing import Any
 
@@ -18,12 +19,14 @@ import numpy as np
 from vntoolkit.arrays import Array, FloatArray, Points
 from vntoolkit.checks import require_finite, require_shape
 from vntoolkit.errors import BadInput, BadMesh, CannotWrite
-from vntoolkit.geometry.mesh import Mesh, vertex_normals
+from vntoolkit.geometry.camera import ViewedFrom
+from vntoolkit.geometry.mesh import Mesh, require_times, vertex_normals
 from vntoolkit.geometry.motion import Motion, joint_paths, rest_pose
-from vntoolkit.geometry.skinned_clip import SkinnedClip, ViewedFrom
+from vntoolkit.geometry.skinned_clip import SkinnedClip
 from vntoolkit.io.atomic import atomic_path
 from vntoolkit.io.conventions import graphics_from_camera, motion_with_axes_turned
-from vntoolkit.native import require_address_space
+from vntoolkit.io.maps_and_meshes.texture import SurfaceTexture
+from vntoolkit.native import require_address_space, require_installed
 from vntoolkit.options.export import MeshUpAxis
 
 ROOT = "/World"
@@ -42,20 +45,25 @@ def write_usd_sequence(
     frames: Iterable[Points],
     *,
     frame_rate_hz: float,
+    times_s: FloatArray | None = None,
     metres_per_unit: float = 1.0,
     motion: Motion | None = None,
     up: MeshUpAxis = MeshUpAxis.Y,
     camera: ViewedFrom | None = None,
-    texture: "TextureFiles | None" = None,
+    texture: SurfaceTexture | None = None,
 ) -> int:
     """Write one surface of fixed topology, its vertices (n, 3) a time sample a frame; return the frames.
 
+    times_s: (frames,) of each, rising; None for one every 1 / frame_rate_hz seconds, as a skeleton asks.
     Colours become `displayColor`, texture coordinates `st`; normals are those of each frame. With `motion`
     (one frame a frame, in the same unit) the file also holds the skeleton as UsdSkel; the surface is not
     bound to it, its vertices move already. Memory does not grow with the number of frames.
     """
     if motion is not None and up is not MeshUpAxis.Y:
         raise BadInput(f"{path}: a skeleton is written with y up only")
+    if motion is not None and times_s is not None:
+        raise BadInput(f"{path}: a skeleton moves at an even rate; leave out times_s")
+    codes = _time_codes(times_s, frame_rate_hz)
     count = 0
     with new_stage(path, frame_rate_hz=frame_rate_hz, metres_per_unit=metres_per_unit, up=up) as stage:
         mesh = _define_mesh(stage.stage)
@@ -69,9 +77,10 @@ def write_usd_sequence(
         for count, vertices in enumerate(frames, start=1):
             require_shape(vertices, (len(template.vertices), 3), f"frame {count - 1}", BadMesh)
             require_finite(vertices, f"frame {count - 1}", BadMesh)
-            time = float(count - 1)
+            time = next(codes)
             size = _set_points(mesh, vertices, time, up)
-            stage.wrote(size + _set_normals(mesh, vertex_normals(vertices, template.faces), time, up))
+            size += _set_normals(mesh, vertex_normals(vertices, template.faces), time, up)
+            stage.wrote(size, time)
     return count
 
 
@@ -80,25 +89,26 @@ def write_usd_meshes(
     meshes: Iterable[Mesh],
     *,
     frame_rate_hz: float,
+    times_s: FloatArray | None = None,
     metres_per_unit: float = 1.0,
     up: MeshUpAxis = MeshUpAxis.Y,
 ) -> int:
     """Write a mesh of its own topology for every frame; return the number of frames.
 
-    Memory does not grow with the number of frames. Colours and texture coordinates are written where a
-    mesh has them.
+    times_s: as for `write_usd_sequence`. Memory does not grow with the number of frames. Colours and texture
+    coordinates are written where a mesh has them.
     """
-    count = 0
+    count, codes = 0, _time_codes(times_s, frame_rate_hz)
     with new_stage(path, frame_rate_hz=frame_rate_hz, metres_per_unit=metres_per_unit, up=up) as stage:
         surface = _define_mesh(stage.stage)
-        for count, mesh in enumerate(meshes, start=1):
-            time = float(count - 1)
+        for mesh, time in zip(meshes, codes, strict=False):
+            count += 1
             size = _set_points(surface, mesh.vertices, time, up)
             size += _set_topology(surface, mesh, time)
             size += _set_attributes(surface, mesh, time, up)
             if not stage.stage.GetPrimAtPath(CLOTH):
                 add_material(stage.stage, surface, mesh, None)
-            stage.wrote(size)
+            stage.wrote(size, time)
     return count
 
 
@@ -107,17 +117,17 @@ def write_usd_skin(
     clip: SkinnedClip,
     *,
     camera: ViewedFrom | None = None,
-    texture: "TextureFiles | None" = None,
+    texture: SurfaceTexture | None = None,
 ) -> int:
     """Write a surface bound to its moving skeleton as UsdSkel, lengths in metres; return the frames.
 
     Joint indices and weights, blend shapes with their weights in each frame, normals, `st`, `displayColor`
     and a UsdPreviewSurface, with the textures where there are any.
     """
-    from pxr import UsdSkel, Vt
-
     rate = clip.motion.frame_rate_hz
     with new_stage(path, frame_rate_hz=rate, metres_per_unit=1.0) as stage:
+        from pxr import UsdSkel, Vt
+
         names = [f"Fold_{number:02d}" for number in range(len(clip.shapes))]
         add_skeleton(stage.stage, clip.motion, clip.rest_from_model, names, clip.shape_weights)
         mesh = _define_mesh(stage.stage, f"{FIGURE}/Cloth")
@@ -143,8 +153,16 @@ def write_usd_skin(
             binding.CreateBlendShapeTargetsRel().SetTargets(targets)
         if camera is not None:
             add_camera(stage.stage, camera)
-        stage.frames(len(clip.motion))
+        stage.last = len(clip.motion) - 1.0
     return len(clip.motion)
+
+
+def _time_codes(times_s: FloatArray | None, frame_rate_hz: float) -> Iterator[float]:
+    """Yield the time code of each frame: a whole number where it is one of an even rate."""
+    if times_s is None:
+        return map(float, count_up())
+    require_times(times_s, len(times_s), "times of a USD file")
+    return iter(np.round((times_s - times_s[:1]) * frame_rate_hz, 6).tolist())
 
 
 def _define_mesh(stage: Any, path: str = SURFACE) -> Any:
@@ -220,8 +238,9 @@ def _set_attributes(surface: Any, mesh: Mesh, time: float | None, up: MeshUpAxis
 
 
 class UsdStage:
-    """An open stage; `wrote(bytes)` after each frame lets it empty its memory into the file.
+    """An open stage; `wrote(bytes, time)` after each frame lets it empty its memory into the file.
 
+    last: the last time code.
     A saved crate layer keeps only where each time sample lies in the file, and saving again appends. So
     a save every 16 MiB bounds the memory, and one file results, where value clips would need many.
     """
@@ -229,23 +248,19 @@ class UsdStage:
     def __init__(self, stage: Any) -> None:
         self.stage = stage
         self._pending = 0
-        self._frames = 0
+        self.last = 0.0
 
-    def wrote(self, size: int) -> None:
-        """Count one finished frame of `size` bytes; save where enough has gathered."""
-        self._frames += 1
+    def wrote(self, size: int, time: float) -> None:
+        """Count the frame of a time code, of `size` bytes; save where enough has gathered."""
+        self.last = time
         self._pending += size
         if self._pending >= _FLUSH_BYTES:
             self.save()
 
-    def frames(self, count: int) -> None:
-        """Count frames whose samples are all there."""
-        self._frames = count
-
     def save(self) -> None:
         """Append what is in memory to the file, with the time range so far."""
         self.stage.SetStartTimeCode(0)
-        self.stage.SetEndTimeCode(max(self._frames - 1, 0))
+        self.stage.SetEndTimeCode(self.last)
         self.stage.GetRootLayer().Save()
         self._pending = 0
 
@@ -260,6 +275,7 @@ def new_stage(
         raise BadInput(f"{path}: expected a name that ends in .usdc or .usd (binary USD)")
     if not 0 < frame_rate_hz < np.inf or not 0 < metres_per_unit < np.inf:
         raise BadInput(f"{path}: expected a positive frame rate and length unit")
+    require_installed("pxr", "usd-core", f"{path}: USD files need usd-core, or write .glb")
     require_address_space(_ADDRESS_SPACE, "USD")
     from pxr import Sdf, Tf, Usd, UsdGeom
 
@@ -276,7 +292,10 @@ def new_stage(
             yield open_stage
             open_stage.save()
         except Tf.ErrorException as error:
-            raise CannotWrite(f"cannot write {path}: {' '.join(str(error).split())[:300]}") from error
+            said = "; ".join(" ".join(str(each.commentary).split()) for each in error.args)
+            raise CannotWrite(
+                f"cannot write {path}: USD says: {said[:200]}; see that there is room, or choose another name"
+            ) from error
 
 
 def vec3f_from_camera(vectors: Array, up: MeshUpAxis = MeshUpAxis.Y) -> Any:
@@ -286,15 +305,7 @@ def vec3f_from_camera(vectors: Array, up: MeshUpAxis = MeshUpAxis.Y) -> Any:
     return Vt.Vec3fArray.FromNumpy(graphics_from_camera(np.asarray(vectors, dtype=np.float32), up))
 
 
-@dataclass(frozen=True, kw_only=True)
-class TextureFiles:
-    """Names of images beside the file, or None. albedo: sRGB. normal: tangent space, y along v."""
-
-    albedo: str | None = None
-    normal: str | None = None
-
-
-def add_material(stage: Any, surface: Any, mesh: Mesh, texture: TextureFiles | None) -> None:
+def add_material(stage: Any, surface: Any, mesh: Mesh, texture: SurfaceTexture | None) -> None:
     """Define a matte UsdPreviewSurface and bind the surface to it.
 
     Its colour is the texture's, else that of the primvar `displayColor`; without either there is none.
@@ -329,7 +340,7 @@ def add_material(stage: Any, surface: Any, mesh: Mesh, texture: TextureFiles | N
             if file is None:
                 continue
             image = node(name, "UsdUVTexture")
-            image.CreateInput("file", kinds.Asset).Set(Sdf.AssetPath(f"./{file}"))
+            image.CreateInput("file", kinds.Asset).Set(Sdf.AssetPath(f"./{file.name}"))
             image.CreateInput("sourceColorSpace", kinds.Token).Set(space)
             for wrap in ("wrapS", "wrapT"):
                 image.CreateInput(wrap, kinds.Token).Set("clamp")

@@ -11,7 +11,7 @@ from vntoolkit.io.atomic import cannot_write
 from vntoolkit.io.files import opened
 
 FRAMES_NAME = "frames.log"
-_SKIPPED = "skipped"
+_SKIPPED, _EMPTY = "skipped", "empty"
 _LONGEST_LINE = 1 << 16
 _NUMBER = re.compile(r"[0-9]{1,9}")
 
@@ -23,8 +23,8 @@ class FrameEntry:
     seconds: spent on it. valid_share: of all pixels, with a normal. clipped_share: of all pixels.
     shadowed_share: of the valid ones, not reached by all three lights. error_deg: expected error of the
     normals, the median over the valid pixels; None where it is not known. failure: one line that says why
-    the frame was skipped, else empty. contact_mm2, contact_depth_mm: area in contact and depth of the deepest
-    point, of a tactile gel; None of anything else.
+    the frame was skipped, else empty. shows_nothing: it was because no subject is in sight. contact_mm2,
+    contact_depth_mm: area in contact and depth of the deepest point, of a tactile gel; None of anything else.
     """
 
     number: int
@@ -34,13 +34,15 @@ class FrameEntry:
     shadowed_share: float = 0.0
     error_deg: float | None = None
     failure: str = ""
+    shows_nothing: bool = False
     contact_mm2: float | None = None
     contact_depth_mm: float | None = None
 
     def to_line(self) -> str:
         """Return the line of frames.log, without its end."""
         if self.failure:
-            return f"{self.number} {_SKIPPED} {' '.join(self.failure.split())}"
+            why = _EMPTY if self.shows_nothing else _SKIPPED
+            return f"{self.number} {why} {' '.join(self.failure.split())}"
         shares = (self.valid_share, self.clipped_share, self.shadowed_share)
         line = f"{self.number} {self.seconds:.4f} " + " ".join(f"{share:.5f}" for share in shares)
         if self.error_deg is not None:
@@ -55,8 +57,9 @@ class FrameEntry:
         number, _, rest = line.partition(" ")
         if not _NUMBER.fullmatch(number):
             return None
-        if rest.startswith(_SKIPPED + " "):
-            return cls(number=int(number), failure=rest[len(_SKIPPED) + 1 :])
+        kind, _, failure = rest.partition(" ")
+        if kind in (_SKIPPED, _EMPTY):
+            return cls(number=int(number), failure=failure, shows_nothing=kind == _EMPTY)
         try:
             seconds, valid, clipped, shadowed, *more = map(float, rest.split())
         except ValueError:
@@ -78,6 +81,8 @@ class FrameEntry:
 
 class FrameLog:
     """Appends a line a frame, `number seconds valid clipped shadowed` or `number skipped why`, and flushes.
+
+    The word is `empty` for a frame that shows no subject.
 
     A line goes on with `error_deg` where it is known, and a tactile gel's with `contact_mm2
     contact_depth_mm`.

@@ -9,7 +9,7 @@ import hashlib
 import json
 import os
 import platform
-from collections.abc import Container, Iterable
+from collections.abc import Container, Iterable, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
@@ -17,9 +17,10 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from pydantic import Field, ValidationError
+from pydantic import Field, ValidationError, model_validator
 
 import vntoolkit
+from vntoolkit.arrays import FloatArray
 from vntoolkit.errors import BadInput, VntError
 from vntoolkit.io.atomic import write_text
 from vntoolkit.io.files import parse_json, read_text, require_file, sha256_of_file
@@ -73,10 +74,28 @@ class InputEntry(Entry):
         description="When each frame of a video of varying rate is shown, seconds from the first.",
     )
 
+    @model_validator(mode="after")
+    def _require_a_time_a_frame(self) -> "InputEntry":
+        rise = np.diff(self.times_s) > 0  # NaN does not
+        if self.times_s and (len(self.times_s) != self.frame_count or not rise.all()):
+            raise ValueError(f"times_s: expected a time for each of {self.frame_count} frames, rising")
+        return self
+
     @property
     def playing_rate_hz(self) -> float:
         """Frames per second to play the result at: the footage's, or a usual rate for stills."""
         return self.frame_rate_hz or _STILLS_RATE_HZ
+
+    def times_of(self, numbers: Sequence[int]) -> FloatArray:
+        """Return when these frames were filmed, (n,) seconds from the first of them."""
+        chosen = np.array(numbers, dtype=np.int64)
+        times = np.array(self.times_s)[chosen] if self.times_s else chosen / self.playing_rate_hz
+        return np.asarray(times - times[:1])
+
+    def rate_of(self, numbers: Sequence[int]) -> float:
+        """Return the frames per second of these frames alone: of every second one, half the footage's."""
+        steps = np.diff(np.array(numbers))
+        return self.playing_rate_hz / (int(steps.min()) if steps.size else 1)
 
 
 class MaterialEntry(Entry):
@@ -140,7 +159,7 @@ class Known(Entry):
         default=0.0, description="Standard deviation of the picture's blur, which expected errors count."
     )
     relative_albedo: float | None = Field(
-        default=None, description="Brightness of the subject against the rig's material, where it is of that."
+        default=None, description="Brightness of the subject against the rig's material; null for a gel's."
     )
     materials: list[MaterialEntry] = Field(
         default_factory=list, description="Materials that were found; empty for the rig's alone."
@@ -188,8 +207,8 @@ class Manifest(Entry):
     )
     error_deg: float | None = Field(
         default=None,
-        description="Expected error of the normals: median over the pixels of a frame, then over the frames; "
-        "null where it is not known.",
+        description="Expected error of the normals: median over the pixels of a frame, and of the frames the "
+        "least of the worst tenth; null where it is not known.",
     )
     started: str = Field(default="", description="When the run began, UTC, ISO 8601.")
     finished: str = Field(default="", description="When the last frame was done; empty while it runs.")
@@ -246,7 +265,12 @@ def rig_of_result(manifest: Manifest) -> Rig:
 
 def result_digest(manifest: Manifest) -> str:
     """Return the SHA-256 of what shapes a reconstruction; frames may be added."""
-    content = [request_of_manifest(manifest), manifest.known.shapes(), manifest.input.frame_rate_hz]
+    content: list[Any] = [
+        request_of_manifest(manifest),
+        manifest.known.shapes(),
+        manifest.input.frame_rate_hz,
+    ]
+    content += [manifest.input.times_s] if manifest.input.times_s else []
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
@@ -287,7 +311,7 @@ RECONSTRUCTION = FolderKind(
     verb="reconstruct",
     holds="results",
     record=MANIFEST_NAME,
-    files=(FRAMES_NAME, "contact.csv"),
+    files=(FRAMES_NAME, "contact.csv", "mask_suggested.png"),
     frames={name: (suffix,) for name, suffix in FRAME_FILES.items()},
     read=lambda path: read_manifest(path.parent),
     text=text_from_model,

@@ -33,12 +33,18 @@ _logger = logging.getLogger(__name__)
 class MeshSequenceWriter:
     """Append frames to a moving mesh on disk; after every frame the folder is complete and readable.
 
-    With `resume`, a folder of the same template size goes on where it stopped (`frame_count` tells where).
-    Use as a context manager. Raises `CannotWrite`.
+    times_s: of all frames to come, as `MeshSequence` has them. With `resume`, a folder of the same template
+    size goes on where it stopped (`frame_count` tells where). Use as a context manager. Raises `CannotWrite`.
     """
 
     def __init__(
-        self, folder: Path | str, template: Mesh, *, frame_rate_hz: float = 60.0, resume: bool = False
+        self,
+        folder: Path | str,
+        template: Mesh,
+        *,
+        frame_rate_hz: float = 60.0,
+        times_s: FloatArray | None = None,
+        resume: bool = False,
     ) -> None:
         require_positive(frame_rate_hz, "moving mesh: frame rate")
         self.folder = require_writable_folder(folder)
@@ -46,20 +52,27 @@ class MeshSequenceWriter:
         going_on = resume and (self.folder / "sequence.json").exists()
         if going_on:
             _require_same_template(self.folder, self._vertex_count)
+        else:
+            (self.folder / "uncertainty_px.npy").unlink(missing_ok=True)
+            write_mesh(self.folder / "template.ply", template)
+        self._write_meaning(frame_rate_hz, times_s)
         self._vertices = _GrowingArray(self.folder / "vertices.npy", (self._vertex_count, 3), keep=going_on)
         self._uncertainty_px: _GrowingArray | None = None
-        if going_on:
-            if (self.folder / "uncertainty_px.npy").exists():
-                self._uncertainty_px = _GrowingArray(
-                    self.folder / "uncertainty_px.npy", (self._vertex_count,), keep=True
-                )
-                self.truncate(min(self._vertices.count, self._uncertainty_px.count))
-            return
-        (self.folder / "uncertainty_px.npy").unlink(missing_ok=True)
-        write_mesh(self.folder / "template.ply", template)
-        meaning = {"version": _VERSION, "frame_rate_hz": frame_rate_hz, "vertices": self._vertex_count}
-        text = {**meaning, "frame": "camera: x right, y down, z forward", "arrays": "(frame, vertex, xyz)"}
-        write_text(self.folder / "sequence.json", json.dumps(text, indent=2) + "\n")
+        uncertainty = self.folder / "uncertainty_px.npy"
+        if going_on and uncertainty.exists():
+            self._uncertainty_px = _GrowingArray(uncertainty, (self._vertex_count,), keep=True)
+            self.truncate(min(self._vertices.count, self._uncertainty_px.count))
+
+    def _write_meaning(self, frame_rate_hz: float, times_s: FloatArray | None) -> None:
+        meaning = {
+            "version": _VERSION,
+            "frame_rate_hz": frame_rate_hz,
+            "vertices": self._vertex_count,
+            "frame": "camera: x right, y down, z forward",
+            "arrays": "(frame, vertex, xyz)",
+        }
+        times = {} if times_s is None else {"times_s": np.round(times_s, 6).tolist()}
+        write_text(self.folder / "sequence.json", json.dumps(meaning | times, indent=2) + "\n")
 
     @property
     def frame_count(self) -> int:
@@ -113,8 +126,11 @@ def read_mesh_sequence(folder: Path | str) -> MeshSequence:
     meaning = parse_json(read_text(folder / "sequence.json", BadMesh), str(folder / "sequence.json"), BadMesh)
     try:
         rate = float(meaning["frame_rate_hz"])
-    except (ValueError, KeyError, TypeError, OverflowError) as problem:
-        raise BadMesh(f"{folder / 'sequence.json'}: expected JSON with frame_rate_hz") from problem
+        times_s = None if meaning.get("times_s") is None else np.array(meaning["times_s"], dtype=np.float64)
+    except (ValueError, KeyError, TypeError, OverflowError, AttributeError) as problem:
+        raise BadMesh(
+            f"{folder / 'sequence.json'}: expected JSON with frame_rate_hz, and numbers as times_s"
+        ) from problem
     vertices, uncertainty_px = np.atleast_1d(map_npy(folder / "vertices.npy", BadMesh)), None
     if (folder / "uncertainty_px.npy").exists():
         uncertainty_px = np.atleast_1d(map_npy(folder / "uncertainty_px.npy", BadMesh))
@@ -127,7 +143,11 @@ def read_mesh_sequence(folder: Path | str) -> MeshSequence:
             folder,
         )
     sequence = MeshSequence(
-        template=template, vertices=vertices, frame_rate_hz=rate, uncertainty_px=uncertainty_px
+        template=template,
+        vertices=vertices,
+        frame_rate_hz=rate,
+        times_s=None if times_s is None else np.atleast_1d(times_s)[: len(vertices)],
+        uncertainty_px=uncertainty_px,
     )
     sequence.require_finite(str(folder / "vertices.npy"))
     return sequence

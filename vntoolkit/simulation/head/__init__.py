@@ -1,1 +1,1 @@
-"""A human head: sculpted as an implicit surface, slit at lips and lids, moved by expressions."""
+"""A human head: a shipped neutral shape, slit at lips and lids, moved by muscles (`rig`), and its scenes."""

@@ -1,1 +1,3 @@
-"""Scenes whose surface does not deform: a ball, a paper-wrapped cylinder, the calibration board, a jacket."""
+"""Scenes whose surface does not deform: ball, cylinder, calibration board, jacket; and a gel that is
+pressed.
+"""
