@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from vntoolkit import native
+from vntoolkit.calibration.ball_outline import Circle
 from vntoolkit.calibration.fit import fit_response
-from vntoolkit.calibration.sphere import Circle, sphere_normals
+from vntoolkit.calibration.sphere import sphere_normals
 from vntoolkit.errors import (
     BadCalibration,
     BadInput,

@@ -7,6 +7,7 @@ import logging
 import math
 import os
 import struct
+import warnings
 import zlib
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -421,7 +422,8 @@ def _stated_by(image: Any, codes: bytes) -> Stated:
     value, is_srgb, focal_mm = 1, "srgb" in said, 0.0
     # without this test, Pillow decodes the whole PNG to look for EXIF data behind the picture
     if "exif" in said:
-        with contextlib.suppress(struct.error, ValueError, KeyError, TypeError, SyntaxError, OSError):
+        unread = (struct.error, ValueError, KeyError, TypeError, SyntaxError, OSError)
+        with contextlib.suppress(*unread), warnings.catch_warnings(action="ignore"):
             exif = image.getexif()
             value = exif.get(_ORIENTATION, 1)
             more = exif.get_ifd(_EXIF_IFD)
