@@ -87,7 +87,7 @@ LINES = {
     "photometry": 1100,
     "pipeline": 7800,
     "report": 3200,
-    "shadows": 3300,
+    "shadows": 3150,
     "simulation": 3600,
     "skinning": 2200,
     "tactile": 1400,

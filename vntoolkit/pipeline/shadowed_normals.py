@@ -1,7 +1,5 @@
 """Normals where the subject shadows itself: which lamps reach each pixel, then what the others tell."""
 
-from dataclasses import replace
-
 import numpy as np
 
 from vntoolkit.arrays import FloatArray, Mask, VisibilityLabels
@@ -40,9 +38,8 @@ class ShadowedNormals:
             return normals_from_frame(level, self._central, mask, options=self._inversion), labels, None
         lamps = directions_from_shadows(level, labels, self._response, mask)
         is_same = (self._central.light_colours is None) is (lamps.separated.light_colours is None)
-        if surface is not None and not (is_same and by_strength is level):
-            surface = replace(surface, image=None)
-        found = recover_surface(level, labels, lamps.separated, mask, self._camera, start=surface)
+        start = surface if is_same and by_strength is level else None
+        found = recover_surface(level, labels, lamps.separated, mask, self._camera, start=start)
         return found.normal_map, labels, lamps
 
     def unlit_by_lamp(self, level: LinearFrame, by_strength: LinearFrame, mask: Mask) -> list[FloatArray]:

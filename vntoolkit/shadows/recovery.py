@@ -40,16 +40,10 @@ from vntoolkit.shadows.contributions import (
     working_image,
 )
 from vntoolkit.shadows.evidence import Lamps, lamps_of
-from vntoolkit.shadows.initialisation import (
-    TRUST_BY_LIGHTS,
-    continue_with_two_lights,
-    noise_of_frame,
-    options_of_frame,
-    solve_from_best_initialisation,
-    spread_of_albedo,
-)
-from vntoolkit.shadows.shadow_edges import labels_without_penumbra
+from vntoolkit.shadows.initialisation import TRUST_BY_LIGHTS, noise_of_frame, solve_from_start
+from vntoolkit.shadows.roots import roots_of_labels, spread_of_albedo
 from vntoolkit.shadows.surface import (
+    ALBEDO_SPREAD,
     LabelledImage,
     Model,
     Surface,
@@ -61,7 +55,6 @@ from vntoolkit.shadows.surface import (
 
 _SMALLEST_ALBEDO = 1e-3
 _HELD = 600.0  # of the slope from the smaller image: about what four neighbours know together
-_AROUND = np.ones((7, 7), np.uint8)  # how far from a shadow half-shadow and its lit neighbours reach
 
 # The weight of a normal.
 _WEIGHT_BY_LIGHTS = (0.05, 0.2, 0.5, 1.0)  # of a pixel that 0, 1, 2, 3 lights reach
@@ -112,8 +105,8 @@ def recover_normals(
     """Return a normal and a weight for every pixel of `mask`, whichever lights reach it.
 
     labels: (h, w), bit k set where light k arrives. camera: None for orthographic. start:
-    `ShadowDetector.surface` where the labels are that detector's, of the same frame and mask; spares a solve.
-    Where the detector was given other colours, that with `image` None.
+    `ShadowDetector.surface` where the labels are that detector's, of the same frame, mask and response; then
+    the frame is not split by light again.
     """
     return recover_surface(frame, labels, response, mask, camera, method, start).normal_map
 
@@ -166,18 +159,9 @@ def _with_surface(
     small_labels = _shrunk(labels, image.mask.shape)
     albedo = albedo_from_lit(image.light.length, image.mask & (small_labels == ALL_LIT), factor)
     lamps, rgb = lamps_of(response), np.ascontiguousarray(frame.rgb)
-    near = cv2.dilate(((labels != ALL_LIT) & inside).astype(np.uint8), _AROUND) > 0
-    if near.any():
-        relative = np.empty_like(rgb)
-        _relative_kernel(
-            flat(rgb), near, lamps, np.ascontiguousarray(albedo[None], np.float32), flat(relative)
-        )
-        labels = labels_without_penumbra(labels, relative, inside, near)
-        small_labels = _shrunk(labels, image.mask.shape)
     labelled = LabelledImage(image=image, labels=small_labels, albedo=albedo)
     noise = noise_of_frame(rgb, response, inside & (labels == ALL_LIT))
-    options = options_of_frame(noise, spread_of_albedo(labelled))
-    surface = solve_from_best_initialisation(labelled, options, start)
+    surface, options = solve_from_start(labelled, noise)
     solved = np.stack([*np.moveaxis(surface.normals, -1, 0), albedo, surface.agreement]).astype(np.float32)
     normals, weight = np.zeros_like(rgb), np.zeros(frame.shape, np.float32)
     _detail_kernel(
@@ -192,30 +176,6 @@ def _shrunk(labels: VisibilityLabels, shape: tuple[int, ...]) -> VisibilityLabel
     if labels.shape == shape:
         return labels
     return cv2.resize(labels, shape[::-1], interpolation=cv2.INTER_NEAREST).astype(np.uint8)
-
-
-@njit(cache=True, parallel=True, fastmath=FLAGS, error_model="numpy")
-def _relative_kernel(rgb: FloatArray, near: Mask, lamps: Lamps, albedo: FloatArray, out: FloatArray) -> None:
-    """Fill the contributions over the albedo (1, h', w'), of a smaller image, in rows that are `near`."""
-    h, w = near.shape
-    split, ambient = lamps.split, lamps.ambient
-    left, part = columns_between(w, albedo.shape[2])
-    for v in prange(h):
-        first, last = span_of(near[v])
-        if first == last:
-            continue
-        row = np.empty((1, last - first), np.float32)
-        row_between(albedo, np.int64(v), h, left[first:last], part[first:last], row)
-        line, to, around = rgb[v, 3 * first : 3 * last], out[v, 3 * first : 3 * last], row[0]
-        for u in range(last - first):
-            r, g, b = finite(line[3 * u]), finite(line[3 * u + 1]), finite(line[3 * u + 2])
-            x, y, z = turned(split, r, g, b)
-            scale = np.float32(1.0) / max(around[u], np.float32(_SMALLEST_ALBEDO))
-            to[3 * u], to[3 * u + 1], to[3 * u + 2] = (
-                x * scale - ambient[0],
-                y * scale - ambient[1],
-                z * scale - ambient[2],
-            )
 
 
 @njit(cache=True, parallel=True, fastmath=FLAGS, error_model="numpy")
@@ -343,10 +303,10 @@ def _by_pixel(
 def _pixel_by_pixel(
     measured: LightContributions, labels: VisibilityLabels, albedo: FloatArray, mask: Mask
 ) -> FloatArray:
-    relative = measured.relative_to(albedo)
-    normals, decided = continue_with_two_lights(measured.normals, relative, labels, measured.lights, mask)
-    filled = fill_smoothly(normals, decided.astype(np.float32))
-    return np.where(decided[..., None], normals, filled)
+    spread = spread_of_albedo(measured.length, albedo, mask & (labels == ALL_LIT)) or ALBEDO_SPREAD
+    roots = roots_of_labels(measured, albedo, labels, mask, spread)
+    filled = fill_smoothly(roots.normals, roots.known.astype(np.float32))
+    return np.where(roots.known[..., None], roots.normals, filled)
 
 
 def _towards_viewer(normals: FloatArray, mask: Mask) -> FloatArray:

@@ -33,13 +33,12 @@ from vntoolkit.geometry.slope_grid import (
     weights_kernel,
 )
 from vntoolkit.native import njit
-from vntoolkit.photometry.frame import ALL_LIT, count_lit
+from vntoolkit.photometry.frame import ALL_LIT
 from vntoolkit.shadows.albedo import fill_smoothly
 from vntoolkit.shadows.contributions import (
     Numbers,
     WorkingImage,
     flat,
-    mean_inside,
     numbers_of,
 )
 from vntoolkit.solvers import grid_hierarchy, solve_grid
@@ -107,15 +106,6 @@ class Surface:
             agreement=np.zeros(shape[:2], np.float32),
         )
 
-    def shrunk(self, mask: Mask, factor: int) -> "Surface":
-        """Return a start on a grid `factor` times coarser, averaged over the mask."""
-        mean, cover = mean_inside(mask, factor)
-        return Surface(
-            normals=_unit_or_facing(mean(self.normals)),
-            depth=np.ascontiguousarray(mean(self.depth) / np.float32(factor)),
-            agreement=np.zeros_like(cover),
-        )
-
 
 def _unit_or_facing(vectors: FloatArray) -> FloatArray:
     out: FloatArray = np.empty(vectors.shape, np.float32)
@@ -147,17 +137,6 @@ class LabelledImage:
         lit = self.image.mask & (self.labels == ALL_LIT)
         return self.image.light.relative_to(np.where(lit, self.image.light.length, self.albedo))
 
-    def halved(self) -> "LabelledImage":
-        """Return the image at half the size."""
-        image = self.image.halved
-        size = image.mask.shape[::-1]
-        labels = cv2.resize(self.labels, size, interpolation=cv2.INTER_NEAREST).astype(np.uint8)
-        albedo: FloatArray = np.asarray(
-            cv2.resize(self.albedo, size, interpolation=cv2.INTER_AREA), np.float32
-        )
-        trust = None if self.trust is None else mean_inside(self.image.mask, 2)[0](self.trust)
-        return LabelledImage(image=image, labels=labels, albedo=albedo, trust=trust)
-
     def solve(
         self,
         options: SurfaceOptions,
@@ -177,25 +156,6 @@ class LabelledImage:
     @property
     def _trust(self) -> Weight:
         return self.image.light.trust if self.trust is None else self.trust
-
-    def energy(self, surface: Surface, options: SurfaceOptions) -> Grid:
-        """Return (h, w), what a surface costs where two lights or three arrive.
-
-        Light that it does not explain, and gradients of depth that are not its slopes': χ² of each quadrant,
-        no more than a step costs. The worse the albedo is told beyond `ALBEDO_SPREAD`, the less light counts.
-        """
-        image = self.image
-        given = _given(self.cosines, self.labels, image.light.lights, image.mask, self._trust, image.camera)
-        shape = given.seen.shape
-        slopes, quadratics = np.empty((2, *shape), np.float32), np.empty((6, *shape), np.float32)
-        targets, weights = np.empty((2, *shape), np.float32), np.empty((4, *shape), np.float32)
-        _from_normals_kernel(flat(surface.normals), given.rays, slopes)
-        spread = np.float32(max(options.spread, ALBEDO_SPREAD))
-        model = model_of(options, settled=False)._replace(albedo_known=spread)
-        given.quadratics(slopes, slopes, model, quadratics, targets)
-        given.weights(quadratics, slopes, surface.depth, (_STEP_SOFTNESS, _SHADOW_STEP_SOFTNESS), weights)
-        most = np.array([0.0, 0.0, _SHADOW_STEP_SOFTNESS, _STEP_SOFTNESS], np.float32)
-        return np.asarray(most[count_lit(given.seen)] * (1.0 - np.sqrt(weights).mean(axis=0)))
 
 
 def solve_surface(
