@@ -23,11 +23,12 @@ from scipy.spatial.transform import Rotation
 import vntoolkit as vt
 from benchmarks.painted_objects import parser_of_objects
 from vntoolkit.arrays import Faces, FloatArray, Points, Vectors
-from vntoolkit.evaluation.track_error import LOST_PX, anchors_on_mesh, visible
+from vntoolkit.evaluation.track_error import anchors_on_mesh, visible
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.rays import RayScene, pixel_rays
 from vntoolkit.io.footage.images import write_png
 from vntoolkit.io.rigs import write_rig
+from vntoolkit.options.tracking import LOST_PX
 from vntoolkit.pipeline.evaluate import read_object
 
 OBJECTS = ("bear", "cow", "goblet", "pot2", "reading")

@@ -59,7 +59,7 @@ def simulated(folder: Path, seeds: list[int]) -> Iterator[tuple[str, Path, Rig, 
         transfer, to = Transfer.from_text(curve), folder / f"{name}-{seed}-{curve}-{bits}"
         to.mkdir()
         for at in range(FRAMES):
-            frame = render_frame(scene, STEP * at)
+            frame = render_frame(scene, min(STEP * at, scene.frame_count - 1))
             stored = encoded_from_linear(np.clip(frame.linear.rgb, 0, 1), transfer)
             rounded = np.rint(stored * (2**bits - 1)) / (2**bits - 1)
             write_png(to / f"f{at:02d}.png", np.rint(rounded * 65535).astype(np.uint16))

@@ -28,11 +28,11 @@ class Text:
 
 def check_names() -> dict[str, str]:
     """Return CHECK_NAMES: what each check finds."""
-    tree = ast.parse((PACKAGE / "diagnosis" / "checks.py").read_text("utf-8"))
+    tree = ast.parse((PACKAGE / "diagnosis" / "finding.py").read_text("utf-8"))
     for node in tree.body:
         if isinstance(node, ast.AnnAssign) and getattr(node.target, "id", "") == "CHECK_NAMES":
             return dict(ast.literal_eval(node.value))
-    raise LookupError("vntoolkit/diagnosis/checks.py: CHECK_NAMES is not there")
+    raise LookupError("vntoolkit/diagnosis/finding.py: CHECK_NAMES is not there")
 
 
 def findings() -> dict[str, list[Text]]:

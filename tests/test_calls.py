@@ -57,6 +57,16 @@ def test_every_call_of_a_script_and_of_a_document_binds(tmp_path: Path, cache: P
     assert not faults_of(files, cache)
 
 
+@pytest.mark.slow
+def test_a_strict_type_checker_accepts_every_example_of_the_documents(tmp_path: Path, cache: Path) -> None:
+    """As an editor shows them. The blocks of a page are one script here, so names come twice."""
+    options = ["--strict", "--allow-redefinition", "--follow-imports=silent", "--scripts-are-modules"]
+    options += ["--python-executable", sys.executable, "--cache-dir", str(cache), "--no-error-summary"]
+    report, error, _ = api.run([*options, *map(str, scripts_of_documents(tmp_path))])
+    assert not error, error
+    assert not report, report
+
+
 def test_a_wrong_call_is_found(tmp_path: Path, cache: Path) -> None:
     wrong = tmp_path / "wrong.py"
     wrong.write_text(

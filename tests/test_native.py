@@ -81,16 +81,21 @@ before = dict(os.environ)
 import vntoolkit as vt
 import numpy as np
 assert dict(os.environ) == before
-from vntoolkit.threads import _limited_openblas, thread_policy
+from vntoolkit.threads import _openblas, one_blas_thread, thread_policy
 from vntoolkit import solvers
 assert dict(os.environ) == before
-for library, name, count in _limited_openblas():
+def counts():
+    return {library[name.format("get")]() for library, name in _openblas()}
+for library, name in _openblas():
     library[name.format("set")](2)
 with thread_policy():
     assert os.environ["GOMP_SPINCOUNT"] == "0"
-    assert all(count == 1 for _, _, count in _limited_openblas())
+    assert counts() == {1}
 assert dict(os.environ) == before
-assert all(count == 2 for _, _, count in _limited_openblas())
+assert counts() == {2}
+with one_blas_thread():
+    assert counts() == {1}
+assert counts() == {2}
 import numba
 numba.get_num_threads()
 assert numba.threading_layer() == "omp"

@@ -15,7 +15,7 @@ import vntoolkit
 from tests.readme_commands import ROOT, Step, run_step, steps_of
 from vntoolkit import errors
 from vntoolkit.cli import GROUPS, VERBS
-from vntoolkit.diagnosis.checks import CHECK_NAMES
+from vntoolkit.diagnosis.finding import CHECK_NAMES
 
 DOCS = ROOT / "docs"
 NAVIGATION = re.findall(r"^ +- .*: (\w+\.md)$", (ROOT / "mkdocs.yml").read_text(), flags=re.MULTILINE)

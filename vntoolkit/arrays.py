@@ -28,6 +28,7 @@ Flow: TypeAlias = Annotated[npt.NDArray[np.float32], "h w 2: (du, dv) in pixels"
 Normals: TypeAlias = Annotated[FloatArray, "... 3: unit vectors in the camera frame"]
 Depth: TypeAlias = Annotated[FloatArray, "h w: z along the optical axis"]
 VisibilityLabels: TypeAlias = Annotated[npt.NDArray[np.uint8], "h w: bit k set where light k arrives"]
+MaterialLabels: TypeAlias = Annotated[npt.NDArray[np.uint8], "h w: number of the pixel's material"]
 
 Points: TypeAlias = Annotated[FloatArray, "n 3"]
 Points2: TypeAlias = Annotated[FloatArray, "n 2: (u, v) in pixels"]
@@ -38,9 +39,20 @@ Matrix3: TypeAlias = Annotated[FloatArray, "3 3: float64"]
 Matrix4: TypeAlias = Annotated[FloatArray, "4 4: float64"]
 Vector3: TypeAlias = Annotated[FloatArray, "3: float64"]
 
+Box: TypeAlias = tuple[slice, slice]
+"""Rows and columns of a part of an image."""
+
 
 def read_only(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
     """Return a view of `array` that refuses writing; the memory is shared, not copied."""
     view = array.view()
     view.flags.writeable = False
     return view
+
+
+def box_of(mask: Mask) -> Box:
+    """Return the rows and the columns that a mask reaches over; nothing where it is empty."""
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    if not len(rows):
+        return slice(0, 0), slice(0, 0)
+    return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)

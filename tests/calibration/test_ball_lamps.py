@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from vntoolkit.calibration.ball_lamps import fit_lamps_to_ball
+from vntoolkit.calibration.ball_outline import outline_from_mask as circle_of
 from vntoolkit.calibration.sphere import fit_response_to_switched_sphere, sphere_normals
-from vntoolkit.calibration.sphere import outline_from_mask as circle_of
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.options.calibration import SphereOptions
 from vntoolkit.photometry.frame import LinearFrame

@@ -17,8 +17,8 @@ from vntoolkit.calibration.head.light import HeadLight
 from vntoolkit.calibration.head.light_correction import light_errors
 from vntoolkit.calibration.head.positions import PositionSolver
 from vntoolkit.calibration.head.refinement import refine_head, thinned
-from vntoolkit.calibration.head.samples import LightFrame
-from vntoolkit.calibration.head.skin import SkinColours, SkinLight, SkinNormals, skin_normals
+from vntoolkit.calibration.head.samples import LightFrame, SkinColours
+from vntoolkit.calibration.head.skin import SkinLight, SkinNormals, skin_normals
 from vntoolkit.geometry.mesh import Mesh, vertex_normals
 from vntoolkit.options.head import LightOptions
 from vntoolkit.photometry.frame import LinearFrame

@@ -4,13 +4,8 @@ import numpy as np
 import pytest
 
 from tests.attached_shadow import shaded_rgb_from_normals
-from vntoolkit.calibration.sphere import (
-    Circle,
-    find_ball_outline,
-    fit_response_to_sphere,
-    outline_from_mask,
-    sphere_normals,
-)
+from vntoolkit.calibration.ball_outline import Circle, find_ball_outline, outline_from_mask
+from vntoolkit.calibration.sphere import fit_response_to_sphere, sphere_normals
 from vntoolkit.errors import BadCalibration, BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.options.calibration import SphereOptions

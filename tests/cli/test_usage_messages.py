@@ -99,7 +99,7 @@ def test_a_misspelt_command_is_answered_by_what_to_type(command, line, place, ca
         ("reconstruct empty --rig rig.json --out o", "or a pattern such as frame_%04d.png"),
         ("reconstruct films --rig rig.json --out o", "name the video, films/a.mkv"),
         ("reconstruct fake.mkv --rig rig.json --out o", "fake.mkv: cannot be opened as a video"),
-        ("reconstruct fake.png --rig rig.json --out o", "is not a PNG, TIFF, JPEG, BMP or EXR image"),
+        ("reconstruct fake.png --rig rig.json --out o", "is not a PNG, TIFF, JPEG, BMP, WebP or EXR image"),
         ("reconstruct f_*.png --rig rig.json --out o", "no file matches this pattern; is the folder right?"),
         ("reconstruct f_%d.png --rig rig.json --out o", "no file matches this pattern; is the folder right?"),
         ("reconstruct rig.json --rig frame.png --out o", "a rig.json of `vntoolkit calibrate`; byte"),

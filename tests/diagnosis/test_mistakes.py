@@ -18,9 +18,9 @@ from vntoolkit.diagnosis.over_time import (
     check_bands,
     check_flicker,
     findings_from_motion,
-    findings_from_tracks,
 )
 from vntoolkit.diagnosis.rig_checks import check_residual, check_stated_focal, check_zoom
+from vntoolkit.diagnosis.track_checks import findings_from_tracks
 from vntoolkit.diagnosis.transfer_match import check_transfer, check_transfer_of_samples
 from vntoolkit.diagnosis.white_balance import check_changing_gains
 from vntoolkit.geometry.camera import Camera

@@ -143,10 +143,7 @@ def _write_captures(folder: Path, rng: np.random.Generator) -> list[Path]:
     tifffile.imwrite(folder / "float.tif", eight.astype(np.float32) / 255, photometric="rgb")
     for suffix in ("jpg", "bmp"):
         assert cv2.imwrite(str(folder / f"a.{suffix}"), eight)
-    ways = {"tiled": {"tile": (16, 16)}, "planar": {"planarconfig": "separate"}, "big": {"bigtiff": True}}
-    for name, how in ways.items():
-        pixels = np.moveaxis(eight, -1, 0) if name == "planar" else eight
-        tifffile.imwrite(folder / f"{name}.tif", pixels, photometric="rgb", **how)
+    tifffile.imwrite(folder / "big.tif", eight, photometric="rgb", bigtiff=True)
     exif = Image.Exif()
     exif[274] = 6  # to be turned
     Image.fromarray(eight).save(folder / "turned.jpg", exif=exif, progressive=True)

@@ -8,6 +8,11 @@ PINHOLE = Camera.pinhole(width=64, height=48, focal_px=80.0)
 DISTORTED = Camera(
     model=CameraModel.OPENCV, width=64, height=48, matrix=PINHOLE.matrix, distortion=[-0.2, 0.05, 1e-3, -2e-3]
 )
+LENSES = [
+    [-0.2, 0.05, 1e-3, -2e-3],
+    [-0.2, 0.05, 1e-3, -2e-3, 0.01],
+    [0.3, 0.05, 1e-3, -2e-3, 0.01, 0.5, 0.1, 0.02],  # as OpenCV's rational model fits a wide lens
+]
 ORTHOGRAPHIC = Camera.orthographic(width=64, height=48, pixels_per_unit=100.0)
 
 
@@ -27,13 +32,35 @@ def test_axes_are_right_down_forward() -> None:
     assert down[1] > centre[1]
 
 
-def test_distortion_agrees_with_opencv(rng: np.random.Generator) -> None:
+@pytest.mark.parametrize("lens", LENSES, ids=len)
+def test_distortion_agrees_with_opencv(lens: list[float], rng: np.random.Generator) -> None:
     cv2 = pytest.importorskip("cv2")
+    camera = Camera.from_matrix(PINHOLE.matrix, width=64, height=48, distortion=[lens])  # (1, n) as cv2 gives
     points = rng.uniform([-0.3, -0.2, 1.0], [0.3, 0.2, 1.5], size=(50, 3))
-    theirs, _ = cv2.projectPoints(
-        points, np.zeros(3), np.zeros(3), np.array(DISTORTED.matrix), np.array(DISTORTED.distortion)
-    )
-    np.testing.assert_allclose(DISTORTED.project(points), theirs[:, 0], atol=1e-9)
+    matrix, still = np.array(camera.matrix), np.zeros(3)
+    theirs = cv2.projectPoints(points, still, still, matrix, np.array(lens))[0][:, 0]
+    np.testing.assert_allclose(camera.project(points), theirs, atol=1e-9)
+    until = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 200, 1e-12)
+    straight = cv2.undistortPoints(theirs, matrix, np.array(lens), criteria=until)[:, 0]
+    ours = camera.unproject(theirs, np.ones(50))
+    np.testing.assert_allclose(ours[:, :2], straight, atol=1e-8)
+    np.testing.assert_allclose(ours * points[:, 2:], points, atol=1e-8)
+
+
+def test_k_without_distortion_is_a_pinhole_camera() -> None:
+    """As of footage that was undistorted before."""
+    camera = Camera.from_matrix(PINHOLE.matrix, width=64, height=48)
+    assert camera.model is CameraModel.PINHOLE
+    np.testing.assert_array_equal(camera.matrix, PINHOLE.matrix)
+
+
+@pytest.mark.parametrize(
+    ("count", "said"),
+    [(6, "got 6 numbers; calibrate"), (12, "got 12 numbers, those of a thin prism"), (14, "a tilted sensor")],
+)
+def test_lenses_that_are_not_modelled_are_refused_by_name(count: int, said: str) -> None:
+    with pytest.raises(BadInput, match=said):
+        Camera.from_matrix(PINHOLE.matrix, width=64, height=48, distortion=[0.1] * count)
 
 
 def test_scaling_keeps_the_corners_of_the_image() -> None:

@@ -79,6 +79,19 @@ def test_a_gel_of_the_third_degree_is_read_as_one_of_the_fourth(rng, rig):
         rig_from_text(json.dumps(content), "rig.json")
 
 
+def test_a_lens_of_eight_numbers_comes_back_and_asks_for_a_reader_of_them(rig):
+    lens = [0.3, 0.05, 1e-3, -2e-3, 0.01, 0.5, 0.1, 0.02]
+    for count, version in ((4, rig_version(rig)), (5, 8), (8, 8)):
+        camera = replace(rig.camera, distortion=np.array(lens[:count]))
+        text = text_from_rig(replace(rig, camera=camera))
+        assert json.loads(text)["version"] == version
+        np.testing.assert_array_equal(rig_from_text(text).camera.distortion, lens[:count])
+
+
+def rig_version(rig):
+    return json.loads(text_from_rig(rig))["version"]
+
+
 def _changed(rig, *path, value):
     content = json.loads(text_from_rig(rig))
     *steps, last = path
@@ -105,7 +118,7 @@ def _changed(rig, *path, value):
         (("quality", "note"), "", r"unknown key 'quality\.note'; known there: method"),
         (("response", "matrix"), KeyError, r"the key 'response\.matrix' is missing"),
         (("camera", "width"), -1, r"camera\.width: input should be greater than 0, got -1"),
-        (("camera", "model"), "FISHEYE", r"camera\.model: input should be 'PINHOLE'"),
+        (("camera", "model"), "FISHEYE", r"camera\.model: .*expected PINHOLE, OPENCV, .*undistort"),
         (("camera", "model"), "PINHOLE", "PINHOLE camera has no distortion"),
         (("response", "matrix"), [[1, 2, 3], [2, 4, 6], [0, 0, 1]], "M is singular"),
         (("response", "ambient"), [0, 0, float("nan")], r"response\.ambient\.2: input should be a finite"),
@@ -113,7 +126,7 @@ def _changed(rig, *path, value):
         (("colour", "transfer"), "log", "expected linear, srgb, bt709, gamma:G"),
         (("colour", "order"), "bgr", r"colour\.order: input should be 'rgb'"),
         (("sources", 0, "sha256"), "12", r"sources\.0\.sha256"),
-        (("version",), 8, "is of version 8, this program reads 1 to 7"),
+        (("version",), 9, "is of version 9, this program reads 1 to 8"),
     ],
 )
 def test_a_bad_rig_is_one_line_that_names_the_key(rig, path, value, line):

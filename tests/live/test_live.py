@@ -1,5 +1,6 @@
 """Live mode: frames in time, the oldest dropped when it is too much, results those of the stages."""
 
+import contextlib
 import os
 import threading
 import time
@@ -12,7 +13,7 @@ import pytest
 from tests.pipeline.conftest import RESPONSE, dome_normals
 from vntoolkit.__main__ import main
 from vntoolkit.cli.live import _keys
-from vntoolkit.errors import BadCapture, BadInput, CannotWrite, VntError
+from vntoolkit.errors import BadCapture, BadInput, CannotWrite, NoSubject, VntError
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.geometry.rectification import Rectification
@@ -144,6 +145,20 @@ def test_a_file_that_is_not_in_real_time_loses_nothing() -> None:
     )
     assert run.run().dropped == 0
     assert seen == arrived == list(range(12))
+
+
+def test_recent_frames_tell_how_dark_a_frame_without_a_subject_is() -> None:
+    rig = replace(dome_rig(), response=replace(RESPONSE, matrix=RESPONSE.matrix / 6))
+    bright, dim = encoded(dome_picture(), 0), encoded(dome_picture() // 30, 1)
+    alone, after = LiveProcessor(rig).lanes[0], LiveProcessor(rig).lanes[0]
+    assert alone(dim)[0].normal_map.mask.any()
+    after(bright)
+    with pytest.raises(NoSubject, match="far darker than before"):
+        after(dim)
+    for _ in range(3):  # lamps that stay dim are believed
+        with contextlib.suppress(NoSubject):
+            after(dim)
+    assert after(dim)[0].normal_map.mask.any()
 
 
 def test_black_frames_fail_alone_and_a_source_that_never_gave_any_raises() -> None:

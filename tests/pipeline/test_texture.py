@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from tests.pipeline.conftest import RESPONSE
 from vntoolkit.geometry.mesh import vertex_normals
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.footage.images import read_image
+from vntoolkit.io.maps_and_meshes.maps import write_normal_map
 from vntoolkit.options.export import ExportFormat, ExportOptions
 from vntoolkit.photometry.transfer import Transfer, TransferCurve, encoded_from_linear
 from vntoolkit.pipeline.dress import (
@@ -23,7 +25,8 @@ from vntoolkit.pipeline.dress import (
 )
 from vntoolkit.pipeline.export import ExportJob, export
 from vntoolkit.pipeline.opened_result import open_result
-from vntoolkit.pipeline.texture import filled, read_texture, tangent_frames, texels_of, write_texture
+from vntoolkit.pipeline.texture import filled, tangent_frames, texels_of, write_texture
+from vntoolkit.pipeline.texture_files import read_texture
 
 __all__ = ["dome_result"]
 
@@ -83,6 +86,23 @@ def test_the_albedo_is_the_material_without_its_shading(dome_result: DomeResult)
     facts = json.loads((dome_result.folder / "track" / "texture" / "texture.json").read_text())
     assert facts["covered"] > 0.7  # without the two pixels at the outline of a small dome
     assert facts["colour_scale"] == 1
+
+
+def test_no_texel_holds_a_normal_below_the_surface(dome_result: DomeResult, tmp_path: Path) -> None:
+    """Renderers show such a texel black. Here the left flank's normals lean right, as if of what hid it."""
+    shutil.copytree(dome_result.folder, tmp_path / "out")
+    result, spoilt = open_result(tmp_path / "out"), 0
+    for number in result.numbers:
+        found = result.normals(number)
+        normals = np.array(found.normals_in_camera)
+        behind = np.float32([0.995, 0.0, -0.0995])
+        flank = found.mask & (normals @ behind < -0.1)
+        normals[flank] = behind
+        write_normal_map(result.folder.file("normals", number), replace(found, normals_in_camera=normals))
+        spoilt += int(flank.sum())
+    assert spoilt > 200
+    texture = write_texture(tmp_path / "out", footage=str(dome_result.footage)).texture
+    assert read_image(texture.normal)[..., 2].min() >= 128
 
 
 def test_mesh_and_relief_together_have_the_measured_normals(dome_result: DomeResult) -> None:

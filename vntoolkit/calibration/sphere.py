@@ -4,11 +4,11 @@ import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 
-from vntoolkit.arrays import BoolArray, Float32Array, Float64Array, FloatArray, Mask, Points, Points2, Vector3
+from vntoolkit.arrays import BoolArray, Float32Array, FloatArray, Mask, Points, Points2, Vector3
 from vntoolkit.calibration.ball_lamps import NEAREST_USUAL, LitBall, fit_lamps_to_ball
+from vntoolkit.calibration.ball_outline import Circle, find_ball_outline, outline_from_mask
 from vntoolkit.calibration.fit import ResponseFit, fit_response
 from vntoolkit.calibration.lights import with_light_colours
 from vntoolkit.checks import require_mask, require_shape, require_some
@@ -21,11 +21,9 @@ from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import with_near_lamps
 
 logger = logging.getLogger(__name__)
-_LEVELS = (0.03, 0.06, 0.12, 0.25, 0.5)  # of the brightest: low for a dark side, high for a grey wall
 _BRIGHTEST = 99.9  # percentile; a lamp's mirror image covers some thousandths of a ball
 _FAR_OFF = 0.05  # of the radius
 _WHOLE_ARC = 0.6  # of the circle: then its place is known to a percent
-_SMALLEST_ARC = 0.4  # of the full circle that must be seen
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -37,7 +35,7 @@ class SphereCalibration:
     """
 
     fit: ResponseFit
-    outline: "Circle"
+    outline: Circle
     normal_map: NormalMap
     residual_deg: Float32Array
     lit: LitBall | None = None
@@ -113,7 +111,7 @@ def _warn_of_lamps(lit: LitBall) -> None:
 
 def _ball_in(
     frame: LinearFrame, camera: Camera, mask: Mask | None, options: SphereOptions
-) -> tuple["Circle", NormalMap]:
+) -> tuple[Circle, NormalMap]:
     require_shape(frame.rgb, (camera.height, camera.width, 3), "frame of the ball")
     if frame.clipped.all():
         raise BadCalibration("calibrate sphere: every pixel is clipped; lower the exposure")
@@ -127,7 +125,7 @@ def _ball_in(
     return outline, sphere_normals(outline, camera, options.rim_share)
 
 
-def _require_on_ball(outline: "Circle", frame: LinearFrame) -> None:
+def _require_on_ball(outline: Circle, frame: LinearFrame) -> None:
     """Raise `BadCalibration` for a mask's outline beside the ball that the picture shows.
 
     A ball found whole, and nearly as large, is the same one. A centre that is off by a twentieth of the
@@ -149,7 +147,7 @@ def _require_on_ball(outline: "Circle", frame: LinearFrame) -> None:
 
 
 def _fit(
-    frame: LinearFrame, outline: "Circle", normal_map: NormalMap, mask: Mask | None, options: SphereOptions,
+    frame: LinearFrame, outline: Circle, normal_map: NormalMap, mask: Mask | None, options: SphereOptions,
     rng: np.random.Generator | None,
 ) -> SphereCalibration:  # fmt: skip
     chosen = normal_map.mask if mask is None else normal_map.mask & mask
@@ -179,7 +177,7 @@ def _mirrors(rgb: Points) -> bool:
     return bool((bright.mean(axis=0) < 0.5 * (np.pi / 3 - np.sqrt(3) / 4) / np.pi).any())
 
 
-def sphere_normals(outline: "Circle", camera: Camera, rim_share: float = 0.0) -> NormalMap:
+def sphere_normals(outline: Circle, camera: Camera, rim_share: float = 0.0) -> NormalMap:
     """Normals of the ball behind an outline, at every pixel inside it but the rim.
 
     Orthographic: the outline is the ball's equator. Perspective: the outline's rays form a cone that touches
@@ -222,163 +220,3 @@ def _tangent_cone(rays: FloatArray) -> tuple[Vector3, float]:
 def _rays(pixels: FloatArray, camera: Camera) -> FloatArray:
     points = camera.unproject(pixels, np.ones(pixels.shape[:-1]))
     return points / np.linalg.norm(points, axis=-1, keepdims=True)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Circle:
-    """A circle in an image, with what supports it.
-
-    centre_px: (u, v). points_px: (n, 2) outline points on it. arc: share of the turn that they cover.
-    """
-
-    centre_px: Points2
-    radius_px: float
-    points_px: Points2
-    arc: float
-
-
-# The outline of the ball: detected in the image, or from a mask.
-
-
-def find_ball_outline(frame: LinearFrame) -> Circle:
-    """Find the ball that fills most of a circle in an image, brighter than what is behind it.
-
-    Thresholds the image at several levels and keeps the circle with the most complete outline. Raises
-    `BadCalibration` where no outline covers 40 % of a circle.
-    """
-    grey = cv2.GaussianBlur(frame.rgb.max(axis=2), (0, 0), 1.0)
-    floor, top = np.percentile(grey, [5.0, 99.5])
-    if not top > 0.004:
-        raise BadCalibration("calibrate sphere: the image is black; are the lights on, the lens cap off?")
-    candidates = []
-    for level in _LEVELS:
-        candidates += _circles_in(grey > floor + level * (top - floor))
-    best = max(candidates, key=lambda circle: circle.arc * np.sqrt(circle.radius_px), default=None)
-    if best is None or best.arc < _SMALLEST_ARC:
-        raise BadCalibration(
-            "calibrate sphere: no ball found; film one matte ball, whole and brighter than what is behind "
-            "it, or give its outline with --mask"
-        )
-    return _refine_on_edges(grey, best)
-
-
-def outline_from_mask(mask: Mask) -> Circle:
-    """Fit a circle to the outline of a mask's largest region; refuses one that is no circle."""
-    circles = _circles_in(mask)
-    best = max(circles, key=lambda circle: circle.radius_px, default=None)
-    if best is None or best.arc < _SMALLEST_ARC:
-        raise BadCalibration(
-            "calibrate sphere: the mask's outline is not a circle; white where the ball is, black elsewhere"
-        )
-    return best
-
-
-_RADII = 360
-_REACH_PX = 4.0  # beyond the blur and the threshold's error, within the rim
-
-
-def _refine_on_edges(grey: Float32Array, rough: Circle) -> Circle:
-    """Move the outline to where the brightness along each radius is halfway between ball and background.
-
-    A low threshold on a blurred image finds the outline a pixel too far out. Radii without an edge (a dark
-    side, a neighbour) are left out, and those whose edge is off the circle after the fit.
-    """
-    turn = 2 * np.pi * np.arange(_RADII) / _RADII
-    directions = np.column_stack([np.cos(turn), np.sin(turn)])
-    offsets = np.arange(-_REACH_PX, _REACH_PX + 0.05, 0.1)
-    at = rough.centre_px + (rough.radius_px + offsets)[None, :, None] * directions[:, None]
-    at = at.astype(np.float32)
-    profiles = cv2.remap(grey, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    inner, outer = profiles[:, 0], profiles[:, -1]
-    edge = np.argmax(profiles < 0.5 * (inner + outer)[:, None], axis=1)
-    height, width = grey.shape
-    inside = ((at[:, -1] >= 0) & (at[:, -1] <= [width - 1, height - 1])).all(axis=1)
-    clear = inside & (edge > 0) & (inner - outer > 0.25 * np.percentile(inner - outer, 90))
-    points = at[np.arange(_RADII), edge].astype(np.float64)[clear]
-    if len(points) < _SMALLEST_ARC * _RADII:
-        return rough
-    for _ in range(5):
-        centre, radius = _least_squares_circle(points)
-        off = np.abs(np.linalg.norm(points - centre, axis=1) - radius)
-        kept = off <= max(0.3, 3 * float(np.median(off)))
-        if kept.all():
-            break
-        points = points[kept]
-    return Circle(centre_px=centre, radius_px=radius, points_px=points, arc=_arc(points - centre))
-
-
-def _circles_in(region: Mask) -> list[Circle]:
-    """Circles through the outlines of the larger connected regions."""
-    contours, _ = cv2.findContours(region.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    height, width = region.shape
-    circles = []
-    for contour in sorted(contours, key=len, reverse=True)[:4]:
-        points = contour[:, 0].astype(np.float64)
-        inner = (points > 0).all(axis=1) & (points < [width - 1, height - 1]).all(axis=1)
-        circle = _fit_circle(points[inner])  # where the image cuts the ball, the outline is the image's
-        if circle is not None:
-            circles.append(circle)
-    return circles
-
-
-_DRAWS = 400
-_TOLERANCE_SHARE = 0.01  # of the radius: how far an outline point may lie from the circle
-_SMALLEST_RADIUS_PX = 8.0
-
-
-def _fit_circle(points: Points2) -> Circle | None:
-    """Fit a circle robustly to pixels (n, 2) of the ball; the edge lies half a pixel further out."""
-    if len(points) < 16:
-        return None
-    rng = np.random.default_rng(0)  # the triples only start a least-squares fit; the outline decides
-    centres, radii = _circles_through(points[rng.integers(0, len(points), (_DRAWS, 3))])
-    sound = np.isfinite(radii) & (radii >= _SMALLEST_RADIUS_PX) & (radii < 2 * np.ptp(points, axis=0).max())
-    if not sound.any():
-        return None
-    centres, radii = centres[sound], radii[sound]
-    distances = np.abs(np.linalg.norm(points[None] - centres[:, None], axis=2) - radii[:, None])
-    tolerances = np.maximum(_TOLERANCE_SHARE * radii, 1.0)
-    best = int(np.argmin(np.minimum(distances / tolerances[:, None], 1.0).sum(axis=1)))
-    centre, radius, tolerance = centres[best], float(radii[best]), float(tolerances[best])
-    on_circle = distances[best] < tolerance
-    for _ in range(10):
-        if np.count_nonzero(on_circle) < 8:
-            return None
-        centre, radius = _least_squares_circle(points[on_circle])
-        update = np.abs(np.linalg.norm(points - centre, axis=1) - radius) < tolerance
-        if np.array_equal(update, on_circle):
-            break
-        on_circle = update
-    chosen = points[on_circle]
-    outward = (chosen - centre) / radius
-    return Circle(
-        centre_px=centre, radius_px=radius + 0.5, points_px=chosen + 0.5 * outward, arc=_arc(chosen - centre)
-    )
-
-
-def _circles_through(triples: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Centres (k, 2), radii (k,) of the circles through triples (k, 3, 2); not finite where collinear."""
-    a, b, c = triples[:, 0], triples[:, 1] - triples[:, 0], triples[:, 2] - triples[:, 0]
-    cross = 2 * (b[:, 0] * c[:, 1] - b[:, 1] * c[:, 0])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        bb, cc = (b**2).sum(axis=1), (c**2).sum(axis=1)
-        offset = np.stack([c[:, 1] * bb - b[:, 1] * cc, b[:, 0] * cc - c[:, 0] * bb], axis=1) / cross[:, None]
-    return a + offset, np.linalg.norm(offset, axis=1)
-
-
-def _least_squares_circle(points: Points2) -> tuple[Points2, float]:
-    """Algebraic circle fit (Kåsa): u² + v² = 2 u c_u + 2 v c_v + d, centred for the digits."""
-    mean = points.mean(axis=0)
-    local = points - mean
-    system = np.column_stack([2 * local, np.ones(len(local))])
-    (c_u, c_v, d), *_ = np.linalg.lstsq(system, (local**2).sum(axis=1), rcond=None)
-    return mean + np.array([c_u, c_v]), float(np.sqrt(d + c_u**2 + c_v**2))
-
-
-_SECTORS = 90
-
-
-def _arc(offsets: Float64Array) -> float:
-    """Share of the turn, in sectors, that the points about the centre cover."""
-    sectors = np.floor((np.arctan2(offsets[:, 1], offsets[:, 0]) / (2 * np.pi) + 0.5) * _SECTORS)
-    return len(np.unique(np.clip(sectors, 0, _SECTORS - 1))) / _SECTORS

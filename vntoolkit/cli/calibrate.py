@@ -15,7 +15,6 @@ from vntoolkit.calibration.sphere import SphereCalibration
 from vntoolkit.cli.given import curve_from_text, rectification_from_corners, rig_with_corners
 from vntoolkit.cli.output import JSON, MESH, PAGE, PICTURE, ProgressBars, print_next, require_output, say
 from vntoolkit.cli.verb import command, verb
-from vntoolkit.diagnosis.checks import CHECK_NAMES
 from vntoolkit.diagnosis.finding import judge, require_known_checks
 from vntoolkit.diagnosis.rig_checks import check_lamps, check_residual
 from vntoolkit.diagnosis.transfer_match import check_transfer_of_samples
@@ -87,7 +86,7 @@ class FootageArguments(
 
     def job(self, source: str, **more: Any) -> CalibrationJob:
         """Return the calibration of this footage; more: further fields of it."""
-        require_known_checks(self.allow, CHECK_NAMES)
+        require_known_checks(self.allow)
         require_output(Path(self.out), JSON)
         return CalibrationJob(
             source=source,
@@ -362,7 +361,7 @@ class PressesArguments(CornerOptions, CurveOptions, AllowOptions, SensorOptions,
 
 
 def _presses(asked: PressesArguments) -> pipeline.PressCalibration:
-    require_known_checks(asked.allow, CHECK_NAMES)
+    require_known_checks(asked.allow)
     require_output(Path(asked.out), JSON)
     if asked.overlay is not None:
         require_output(Path(asked.overlay), PICTURE)

@@ -14,7 +14,7 @@ import numpy as np
 from vntoolkit.cli.given import rectification_from_corners, rig_with_corners
 from vntoolkit.cli.output import print_next, say
 from vntoolkit.cli.verb import command, verb
-from vntoolkit.diagnosis.checks import CHECK_NAMES, findings_from_rig
+from vntoolkit.diagnosis.checks import findings_from_rig
 from vntoolkit.diagnosis.finding import judge, require_known_checks
 from vntoolkit.errors import BadInput, VntError
 from vntoolkit.geometry.rectification import Rectification
@@ -72,7 +72,7 @@ class LiveArguments(CornerOptions, AllowOptions, CameraOptions, ViewerOptions, R
 
 def _prepared(asked: LiveArguments) -> tuple[capture.LiveSource, LiveProcessor]:
     """Return where frames come from and what works on them, warm."""
-    require_known_checks(asked.allow, CHECK_NAMES)
+    require_known_checks(asked.allow)
     if asked.seconds is not None and not asked.seconds > 0:
         raise BadInput(f"seconds: expected more than 0, got {asked.seconds:g}")
     rig = read_rig(Path(asked.rig))

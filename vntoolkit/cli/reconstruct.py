@@ -8,7 +8,6 @@ from typing import Any, ClassVar
 from vntoolkit.cli.given import rig_with_corners
 from vntoolkit.cli.output import ProgressBars, print_next, say
 from vntoolkit.cli.verb import command, verb
-from vntoolkit.diagnosis.checks import CHECK_NAMES
 from vntoolkit.diagnosis.finding import require_known_checks
 from vntoolkit.errors import BadCapture
 from vntoolkit.io.footage.captures import CaptureOptions, open_capture
@@ -64,7 +63,7 @@ class RunArguments(
 
     def job(self, source: str, rig: Rig, folder: Path, mask: Path | None, **more: Any) -> Request:
         """Return the reconstruction of a capture; more: further fields of it."""
-        require_known_checks(self.allow, CHECK_NAMES)
+        require_known_checks(self.allow)
         given: dict[str, Any] = {
             "allow": self.allow,
             "gaps": self.gaps,

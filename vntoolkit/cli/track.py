@@ -13,7 +13,7 @@ from vntoolkit.io.results.sequences import read_mesh_sequence
 from vntoolkit.options.base import File, OptionalFile, named
 from vntoolkit.options.footage import ReadingLimits
 from vntoolkit.options.shared import MovedFootageOptions
-from vntoolkit.options.tracking import CheckerboardOptions, TrackingOptions
+from vntoolkit.options.tracking import LOST_PX, CheckerboardOptions, TrackingOptions
 from vntoolkit.pipeline.checkerboard import CheckerboardFiles, write_checkerboard
 from vntoolkit.pipeline.texture import TextureSummary, write_texture
 from vntoolkit.pipeline.track import TrackJob, TrackSummary
@@ -33,7 +33,7 @@ class TrackArguments(MovedFootageOptions, TrackingOptions, CheckerboardOptions, 
     --seams the first. It is tracked forwards and backwards."""
     out: OptionalFile = named(None)
     """The folder to write; default FOLDER/track."""
-    lost_px: float = 4.0
+    lost_px: float = LOST_PX
     """A vertex is called lost where its expected error is above this, in pixels."""
     background: OptionalFile = named(None)
     """The background image that the reconstruction subtracted, for the colours of the texture."""

@@ -16,6 +16,7 @@ from vntoolkit.geometry.maps import NormalMap
 
 LARGE_ERROR_DEG = 20.0  # in the median, as of pixels that one light hardly reaches
 _APART = 2.0  # times the subject's: bounds that are wide all over part at any threshold
+_WORSE = 1.05  # times the subject's median is that of all: less, and a region is too small to matter
 _SMOOTHING_PX = 5
 _CLOSING_PX = 9
 MASK_NAME = "mask_suggested.png"
@@ -61,7 +62,8 @@ def backdrop_in(normal_map: NormalMap) -> Backdrop | None:
     if not _at_border(region) or not (subject & mask).any():
         return None
     inside, outside = (float(np.median(normal_map.error_deg[part & mask])) for part in (subject, region))
-    if outside <= max(LARGE_ERROR_DEG, _APART * inside):
+    over_all = float(np.median(normal_map.error_deg[mask]))
+    if outside <= max(LARGE_ERROR_DEG, _APART * inside) or over_all <= _WORSE * inside:
         return None
     share = float(beside.sum() / mask.sum())
     return Backdrop(subject=subject, share=share, subject_deg=inside, region_deg=outside)

@@ -83,51 +83,6 @@ _OF_LENGTHS = (
 )  # fmt: skip
 _MOST_CLIPPED = 0.05  # of the subject
 
-# What `--allow` takes: every name that a finding of these checks, or one about the footage, can have.
-CHECK_NAMES: dict[str, str] = {
-    "backdrop": "a backdrop that counts as subject",
-    "background": "a picture of the untouched gel that is none, or of another session",
-    "black": "frames without a subject",
-    "blur": "a picture out of focus, or of something that moved too fast",
-    "black-level": "light on every pixel that is none of the lamps', or another range than the file's",
-    "bits": "few bits per sample",
-    "camera": "a camera that no lens can be",
-    "chroma": "colour at a lower resolution than brightness",
-    "clipping": "pixels at the white level",
-    "codec": "a lossy codec",
-    "condition": "M multiplies noise",
-    "cone": "a calibration that saw few directions",
-    "contacts": "contacts of a ball that are no circles",
-    "corners": "a gel seen aslant, without its corners",
-    "cut-off": "a file that ends early",
-    "drift": "exposure or white balance that changes while filming",
-    "dim": "footage that uses little of the range",
-    "flat": "a subject without shape",
-    "flicker": "light that goes up and down from frame to frame",
-    "gaps": "files of a sequence that are missing",
-    "gloss": "a surface that reflects the lamps",
-    "grey": "footage without colour",
-    "jump": "a subject that moves too far between two frames",
-    "labels": "labels of presses that do not lie on the dents",
-    "lamps": "lamps behind the surface",
-    "lost": "a surface that tracking has lost",
-    "mask": "a mask off the subject",
-    "near-lamps": "lamps that stand near, where M is one for the whole picture",
-    "noise": "footage of no surface",
-    "outline": "a surface turned inside out",
-    "relatives": "M mirrored, turned, transposed or with exchanged channels",
-    "residual": "a calibration that contradicts its samples",
-    "sharpening": "a picture that was sharpened",
-    "size": "frames of another size than the rig's",
-    "steps": "a lamp, a channel or the picture that changes at once",
-    "stray": "files that are no frames",
-    "tag": "a transfer curve that the file states against the one it is read with",
-    "times": "times of frames that cannot be",
-    "transfer": "a transfer curve that is not the footage's",
-    "white-balance": "other gains of the channels than at calibration",
-    "zoom": "another focal length than at calibration",
-}
-
 
 def findings_from_rig(rig: Rig) -> list[Finding]:
     """Return what a rig tells by itself."""

@@ -13,22 +13,24 @@ from vntoolkit.diagnosis import evidence as evidences
 from vntoolkit.diagnosis import over_time
 from vntoolkit.diagnosis import sharpness as sharp
 from vntoolkit.diagnosis.checks import findings_from_evidence, findings_from_rig
+from vntoolkit.diagnosis.empty_frames import finding_from_empty_frames
 from vntoolkit.diagnosis.finding import Finding, Level
+from vntoolkit.diagnosis.header_checks import (
+    CHROMA_COST_DEG,
+    findings_from_channels,
+    findings_from_header,
+    findings_from_tag,
+)
 from vntoolkit.diagnosis.lamp_nearness import Nearness, finding_from_nearness, fit_nearness
 from vntoolkit.diagnosis.rig_checks import check_stated_focal
 from vntoolkit.io.footage.captures import Capture, CaptureInfo, CaptureOptions, open_capture
 from vntoolkit.io.footage.frame_range import sampled
 from vntoolkit.io.footage.mattes import Mattes, open_mattes
-from vntoolkit.io.footage.pixel_formats import LOSSLESS_CODECS
-from vntoolkit.io.footage.sequence import text_of_names
-from vntoolkit.io.results.folder import numbers_in_words
 from vntoolkit.options.footage import MatteOptions
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.rig import Rig
-from vntoolkit.photometry.transfer import Transfer, TransferCurve
+from vntoolkit.photometry.transfer import Transfer
 
-_LOSSLESS_IMAGES = frozenset({"PNG", "TIFF", "BMP", "EXR", "raw"})
-_CAMERA_CODECS = frozenset({"JPEG", "h264", "hevc", "mjpeg", "prores", "av1", "vp9"})
 _BLACK = 0.01  # of full scale
 _CLIPPED_TOO_MUCH = 0.001
 _CLIPPED_FATALLY = 0.1
@@ -36,8 +38,6 @@ _FULL = 0.995  # of full scale
 _TOP_VALUES = 3  # stored values that a plateau has, for a codec's noise, and as many just below it
 _STEEP = 4.0  # times as many pixels: what is lit evenly, such as a wall, thins out as its noise does
 _DIM = 0.25  # a brightest percentile below it wastes two bits
-# Degrees that subsampled chroma costs on relief of two pixels, measured on rendered captures.
-_CHROMA_COST_DEG = {"4:2:0": 7, "4:2:2": 5, "4:4:0": 5, "4:1:1": 7}
 _FRAMES_COMPARED = 6
 _NARROWEST_PX = 16  # a strip has no slopes to compare
 
@@ -90,7 +90,7 @@ def inspect_capture(
     numbers = sampled(capture.present, samples)
     findings = findings_from_header(capture)
     if rig is None:
-        findings += _findings_from_tag(info, capture.transfer, Level.WARNING)
+        findings += findings_from_tag(info, capture.transfer, Level.WARNING)
     white = capture.transfer.diffuse_white
     clipped, dark, bright = [], [], []
     for number in numbers:
@@ -122,144 +122,6 @@ def inspect_capture(
         brightest=max(bright),
         findings=tuple(findings),
     )
-
-
-def finding_from_empty_frames(empty: Sequence[int], count: int) -> Finding:
-    """Return what is said of frames that show no subject, of so many."""
-    some = len(empty) < count
-    return Finding(
-        check="black",
-        level=Level.WARNING if some else Level.FATAL,
-        problem=f"{numbers_in_words(empty)} {'shows' if len(empty) == 1 else 'show'} no subject",
-        measured=f"{len(empty)} of {count} frames that are black or show far less than the others",
-        expected="none",
-        remedy="they are kept as empty, and no other frame changes; --frames leaves them out"
-        if some
-        else "are the lamps on, the lens open and the mask on the subject?",
-    )
-
-
-def findings_from_header(capture: Capture) -> list[Finding]:
-    """Check what a capture says of itself: frames, chroma, codec, bits, and the curve it is read with."""
-    return [*_findings_from_info(capture.info), *_findings_from_transfer(capture.info, capture.transfer)]
-
-
-def _findings_from_info(info: CaptureInfo) -> Iterator[Finding]:
-    if info.promised_frame_count > info.frame_count:
-        yield Finding(
-            check="cut-off",
-            level=Level.FATAL,
-            problem=f"the video is cut off: it declares {info.promised_frame_count} frames, "
-            f"{info.frame_count} came",
-            measured=f"{info.frame_count} frames",
-            expected=f"{info.promised_frame_count}",
-            remedy=f"copy the file again, or use what came with --frames 0:{info.frame_count}",
-        )
-    if info.missing:
-        names = text_of_names(list(info.missing.values()))
-        yield Finding(
-            check="gaps",
-            level=Level.FATAL,
-            problem=f"{len(info.missing)} of {info.frame_count} files of the sequence are missing: {names}",
-            measured=f"{info.frame_count - len(info.missing)} files",
-            expected=f"{info.frame_count}",
-            remedy="copy them too, or leave these frames out with --gaps skip",
-        )
-    if info.unusable_times:
-        yield Finding(
-            check="times",
-            level=Level.WARNING,
-            problem=f"{info.unusable_times}; the frames are played at {info.frame_rate_hz:g} per second",
-            measured="times that do not tell when a frame was filmed",
-            expected="times that rise",
-            remedy="give --frame-rate-hz with the rate that they were filmed at",
-        )
-    if info.left_out:
-        names = text_of_names([path.name for path in info.left_out])
-        yield Finding(
-            check="stray",
-            level=Level.WARNING,
-            problem=f"left out, since the frames are named otherwise: {names}",
-            measured=f"{len(info.left_out)} files",
-            expected="none",
-            remedy="keep masks and thumbnails in another folder",
-        )
-    if info.chroma in _CHROMA_COST_DEG:
-        cost = _CHROMA_COST_DEG[info.chroma]
-        yield Finding(
-            check="chroma",
-            level=Level.WARNING,
-            problem=f"chroma subsampling {info.chroma} costs nothing on smooth surfaces, and up to "
-            f"{cost} degrees on relief as fine as two pixels, such as a knit; `reconstruct` takes part "
-            "of it back, `live` does not",
-            measured=f"chroma {info.chroma}",
-            expected="RGB or 4:4:4",
-            remedy="for such relief record RGB, raw or 4:4:4, or halve the picture size",
-        )
-    if info.codec not in LOSSLESS_CODECS and info.codec not in _LOSSLESS_IMAGES:
-        yield Finding(
-            check="codec",
-            level=Level.WARNING,
-            problem=f"{info.codec} is a lossy codec at most settings: its blocks show up as relief",
-            measured=f"codec {info.codec}",
-            expected="a lossless one",
-            remedy="record losslessly, or with the highest bit rate",
-        )
-    if info.bits == 8:
-        yield Finding(
-            check="bits",
-            level=Level.NOTE,
-            problem="8 bits per channel cost about 0.3 degrees",
-            measured="8 bits",
-            expected="10 or more",
-            remedy="record 10 or more bits where you can",
-        )
-
-
-def _findings_from_channels(info: CaptureInfo) -> Iterator[Finding]:
-    if info.chroma != "grey":
-        return
-    yield Finding(
-        check="grey",
-        level=Level.FATAL,
-        problem="the footage is grey",
-        measured="one channel",
-        expected="three",
-        remedy="three coloured lights need a colour camera",
-    )
-
-
-def _findings_from_tag(info: CaptureInfo, transfer: Transfer, level: Level) -> Iterator[Finding]:
-    """Find a stated transfer curve other than the one read with; no tag states a camera's own logarithm."""
-    stated, used = info.stated_transfer, transfer.to_text()
-    if not stated or stated == used or transfer.is_camera_log:
-        return
-    yield Finding(
-        check="tag",
-        level=level,
-        problem=f"the file states the transfer curve {stated}, the rig's is {used}"
-        if level is Level.FATAL
-        else f"the file states the transfer curve {stated} but is read as {used}",
-        measured=stated,
-        expected=used,
-        remedy="film as the rig was calibrated, or calibrate as it was filmed"
-        if level is Level.FATAL
-        else "leave --transfer out, unless the tag is known to be wrong",
-    )
-
-
-def _findings_from_transfer(info: CaptureInfo, transfer: Transfer) -> Iterator[Finding]:
-    if transfer.curve is not TransferCurve.LINEAR or info.stated_transfer:
-        return
-    if info.codec in _CAMERA_CODECS:
-        yield Finding(
-            check="transfer",
-            level=Level.NOTE,
-            problem=f"{info.codec} files of cameras and telephones are rarely linear",
-            measured="linear",
-            expected="bt709 (video) or srgb (JPEG)",
-            remedy="if this one is not linear, give --transfer bt709 or srgb",
-        )
 
 
 def findings_from_clipping(frames: Sequence[LinearFrame], mask: Mask | None) -> list[Finding]:
@@ -366,14 +228,14 @@ def examine_capture(
     `BadCapture` for a frame that cannot be read.
     """
     frames, in_a_row = _frames_to_judge(capture, numbers, over_time.FRAMES_IN_A_ROW)
-    findings = [*_findings_from_channels(capture.info), *findings_from_clipping(frames, mask)]
+    findings = [*findings_from_channels(capture.info), *findings_from_clipping(frames, mask)]
     if capture.info.chroma == "grey" or not frames:
         return Examination(findings=findings)
     small = [evidences.averaged_down(frame) for frame in frames]
     near: Nearness | None = None
     places = sorted({0, len(frames) // 2, len(frames) - 1})
     if rig is not None:
-        findings += _findings_from_tag(capture.info, capture.transfer, Level.FATAL)
+        findings += findings_from_tag(capture.info, capture.transfer, Level.FATAL)
         findings += check_stated_focal(rig, capture.info.stated_focal_px)
         height, width = frames[0].shape
         if (width, height) != rig.footage_size:
@@ -417,7 +279,7 @@ def examine_capture(
 def blur_of_colours(sharpness: sharp.Sharpness | None, chroma: str, frame: LinearFrame) -> float:
     """Return the blur of a frame's colours in pixels: the lens's, and that of what was interpolated."""
     blur_px = 0.0 if sharpness is None else sharpness.over_all_px
-    if chroma in _CHROMA_COST_DEG or sharp.colour_is_interpolated(frame):
+    if chroma in CHROMA_COST_DEG or sharp.colour_is_interpolated(frame):
         return math.hypot(blur_px, sharp.OF_INTERPOLATION_PX)
     return blur_px
 
@@ -473,8 +335,8 @@ def findings_from_calibration_footage(
 ) -> list[Finding]:
     """Check footage to calibrate on: channels, clipping inside `mask` (h, w), and the curve it states."""
     clipping = findings_from_clipping(_frames_to_judge(capture, numbers)[0], mask)
-    tag = _findings_from_tag(capture.info, capture.transfer, Level.WARNING)
-    return [*_findings_from_channels(capture.info), *clipping, *tag]
+    tag = findings_from_tag(capture.info, capture.transfer, Level.WARNING)
+    return [*findings_from_channels(capture.info), *clipping, *tag]
 
 
 def _frames_to_judge(

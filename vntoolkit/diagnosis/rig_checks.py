@@ -115,7 +115,7 @@ def check_camera(rig: Rig) -> list[Finding]:
         measured = f"a skew of {matrix[0, 1]:.0f} pixels, {skew_deg:.0f} degrees"
         findings.append(_impossible("the camera's rows and columns are skewed", measured, "0"))
     if camera.is_perspective and camera.folds:
-        measured = "k1, k2, p1, p2 = " + ", ".join(f"{value:.3g}" for value in camera.distortion)
+        measured = "k1, k2, p1, p2, … = " + ", ".join(f"{value:.3g}" for value in camera.distortion)
         findings.append(_impossible("the lens distortion folds the picture", measured, "one place a pixel"))
     off = np.abs(matrix[:2, 2] / ((camera.width - 1) or 1, (camera.height - 1) or 1) - 0.5)
     if camera.is_perspective and off.max() > _FURTHEST_CENTRE:

@@ -15,8 +15,8 @@ from vntoolkit.checks import require_positive, require_shape
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.native import njit
+from vntoolkit.options.tracking import LOST_PX
 
-LOST_PX = 4.0
 _OUTLIER_PX = 4.0
 _HIDDEN_SHARE = 0.002  # of its depth: a true point further behind the frontmost surface is hidden, not judged
 

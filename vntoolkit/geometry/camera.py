@@ -1,21 +1,26 @@
 """Cameras: pinhole with distortion, or orthographic; projection and its inverse.
 
-Model names are COLMAP's (PINHOLE, OPENCV); ORTHOGRAPHIC is ours. Pixel centres are integers.
+Model names are COLMAP's (PINHOLE, OPENCV); ORTHOGRAPHIC is ours. Distortion is OpenCV's, with 4, 5 or 8
+coefficients (zhang2000). Pixel centres are integers.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
+from typing import Any
 
 import numpy as np
 
-from vntoolkit.arrays import Depth, FloatArray, Matrix3, read_only
+from vntoolkit.arrays import Depth, FloatArray, Matrix3, Vector3, read_only
 from vntoolkit.checks import require_finite, require_shape
 from vntoolkit.errors import BadInput
 
 _UNDISTORT_ITERATIONS = 20
 _RADII, _TURNS = 200, 16  # at which a distortion is looked at
+_COEFFICIENTS = "k1, k2, p1, p2, k3, k4, k5, k6"  # the first 4, the first 5, or all of them
+_OTHER_LENSES = {12: "a thin prism", 14: "a tilted sensor"}  # that OpenCV adds by further coefficients
 _MOST_PX = 1e9  # no lens has more; squares and inverses of K stay far from overflow
 
 
@@ -32,7 +37,8 @@ class Camera:
     """One calibrated camera.
 
     width, height: image size in pixels. matrix: K, (3, 3), pixels; for an orthographic camera K[0, 0]
-    is the scale in pixels per length unit. distortion: (k1, k2, p1, p2), Brown's model, OPENCV only.
+    is the scale in pixels per length unit. distortion: OPENCV only; (4,), (5,) or (8,), in OpenCV's order k1,
+    k2, p1, p2, k3, k4, k5, k6.
     """
 
     model: CameraModel
@@ -50,7 +56,7 @@ class Camera:
             raise BadInput(
                 f"camera matrix K: expected numbers up to {_MOST_PX:g}, got {np.abs(matrix).max():g}"
             )
-        require_shape(distortion, (4,), "camera distortion (k1, k2, p1, p2)")
+        _require_known_distortion(distortion)
         require_finite(distortion, "camera distortion")
         if self.width < 1 or self.height < 1:
             raise BadInput(f"camera: expected a positive image size, got {self.width}×{self.height}")
@@ -74,6 +80,19 @@ class Camera:
             raise BadInput(f"camera: expected one focal length, or f_x and f_y, got {len(focal)}")
         matrix = np.array([[focal[0], 0, (width - 1) / 2], [0, focal[-1], (height - 1) / 2], [0, 0, 1.0]])
         return cls(model=CameraModel.PINHOLE, width=width, height=height, matrix=matrix)
+
+    @classmethod
+    def from_matrix(
+        cls, matrix: Matrix3, *, width: int, height: int, distortion: FloatArray | Sequence[float] = ()
+    ) -> Camera:
+        """Build the camera of K (3, 3), as `cv2.calibrateCamera` returns it, with its distortion.
+
+        distortion: 4, 5 or 8 numbers in OpenCV's order; none for footage that was undistorted before.
+        """
+        coefficients = np.ravel(np.asarray(distortion, dtype=np.float64))
+        lens = {"model": CameraModel.OPENCV, "distortion": coefficients} if len(coefficients) else {}
+        known: dict[str, Any] = {"model": CameraModel.PINHOLE, **lens}
+        return cls(width=width, height=height, matrix=matrix, **known)
 
     @classmethod
     def orthographic(cls, *, width: int, height: int, pixels_per_unit: float = 1.0) -> Camera:
@@ -160,12 +179,23 @@ class Camera:
         return Camera(model=CameraModel.PINHOLE, width=self.width, height=self.height, matrix=self.matrix)
 
 
+def _require_known_distortion(distortion: FloatArray) -> None:
+    if distortion.shape in ((4,), (5,), (8,)):
+        return
+    lens = _OTHER_LENSES.get(distortion.size)
+    raise BadInput(
+        f"camera distortion: expected the first 4, the first 5 or all 8 of {_COEFFICIENTS}, got "
+        f"{' × '.join(map(str, distortion.shape))} numbers{'' if lens is None else f', those of {lens}'}; "
+        "calibrate with fewer, or undistort the footage and give K alone"
+    )
+
+
 def _distort(xy: FloatArray, distortion: FloatArray) -> FloatArray:
-    """Brown's radial and tangential model on normalised coordinates (..., 2)."""
-    k1, k2, p1, p2 = distortion
+    """OpenCV's radial and tangential model on normalised coordinates (..., 2)."""
+    k1, k2, p1, p2, k3, k4, k5, k6 = np.pad(distortion, (0, 8 - len(distortion)))
     x, y = xy[..., 0], xy[..., 1]
     r2 = x * x + y * y
-    radial = 1.0 + r2 * (k1 + k2 * r2)
+    radial = (1.0 + r2 * (k1 + r2 * (k2 + k3 * r2))) / (1.0 + r2 * (k4 + r2 * (k5 + k6 * r2)))
     return np.stack(
         [
             x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
@@ -181,3 +211,33 @@ def _undistort(xy_distorted: FloatArray, distortion: FloatArray) -> FloatArray:
     for _ in range(_UNDISTORT_ITERATIONS):
         xy = xy + (xy_distorted - _distort(xy, distortion))
     return xy
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ViewedFrom:
+    """Where the scene was filmed from, in camera axes.
+
+    position: (3,). rotation: (3, 3) scene_from_camera. focal_px: in x and y. size_px: width and height of the
+    pictures. offset: (3,) by which the whole scene was moved on its way into the file.
+    """
+
+    position: Vector3
+    rotation: FloatArray
+    focal_px: tuple[float, float]
+    size_px: tuple[int, int]
+    offset: Vector3 = field(default_factory=lambda: np.zeros(3))
+
+    @property
+    def vertical_angle_rad(self) -> float:
+        """Angle of view from the lower to the upper edge."""
+        return float(2 * np.arctan(self.size_px[1] / 2 / self.focal_px[1]))
+
+    @property
+    def aspect_ratio(self) -> float:
+        """Width of the view over its height."""
+        return float(self.size_px[0] / self.focal_px[0] * self.focal_px[1] / self.size_px[1])
+
+    def file_axes(self) -> FloatArray:
+        """Return (3, 3): the camera's axes in a file with y up, where a camera looks along −z with y up."""
+        turn = np.diag([1.0, -1.0, -1.0])
+        return turn @ self.rotation @ turn

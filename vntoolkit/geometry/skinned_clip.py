@@ -1,7 +1,7 @@
 """A skinned surface with its animation: bind pose, joints, weights and blend shapes."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -67,36 +67,6 @@ class SkinnedClip:
         """Return the clip, the whole scene moved by an offset (3,): the animation, not the bind pose."""
         motion = replace(self.motion, root_positions=self.motion.root_positions + offset)
         return replace(self, motion=motion)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ViewedFrom:
-    """Where the scene was filmed from, in camera axes.
-
-    position: (3,). rotation: (3, 3) scene_from_camera. focal_px: in x and y. size_px: width and height of the
-    pictures. offset: (3,) by which the whole scene was moved on its way into the file.
-    """
-
-    position: Vector3
-    rotation: FloatArray
-    focal_px: tuple[float, float]
-    size_px: tuple[int, int]
-    offset: Vector3 = field(default_factory=lambda: np.zeros(3))
-
-    @property
-    def vertical_angle_rad(self) -> float:
-        """Angle of view from the lower to the upper edge."""
-        return float(2 * np.arctan(self.size_px[1] / 2 / self.focal_px[1]))
-
-    @property
-    def aspect_ratio(self) -> float:
-        """Width of the view over its height."""
-        return float(self.size_px[0] / self.focal_px[0] * self.focal_px[1] / self.size_px[1])
-
-    def file_axes(self) -> FloatArray:
-        """Return (3, 3): the camera's axes in a file with y up, where a camera looks along −z with y up."""
-        turn = np.diag([1.0, -1.0, -1.0])
-        return turn @ self.rotation @ turn
 
 
 def blend_shapes(

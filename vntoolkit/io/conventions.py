@@ -1,10 +1,14 @@
 """Axes on disk: conventions of normal maps, and the flip between camera frame and graphics frame."""
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from vntoolkit.arrays import FloatArray
-from vntoolkit.geometry.motion import Motion
 from vntoolkit.options.export import MeshUpAxis
+
+if TYPE_CHECKING:
+    from vntoolkit.geometry.motion import Motion
 
 
 def graphics_from_camera(vectors: FloatArray, up: MeshUpAxis = MeshUpAxis.Y) -> FloatArray:
@@ -21,6 +25,6 @@ def graphics_from_camera(vectors: FloatArray, up: MeshUpAxis = MeshUpAxis.Y) -> 
     return turned
 
 
-def motion_with_axes_turned(motion: Motion) -> Motion:
+def motion_with_axes_turned(motion: "Motion") -> "Motion":
     """Return the motion in the other frame: y up on disk, y down in memory."""
     return motion.turned(graphics_from_camera(np.eye(3)))

@@ -4,10 +4,18 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeAlias, get_origin
+from typing import Annotated, Any, Literal, TypeAlias, get_args, get_origin
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, FiniteFloat, ValidationError
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    FiniteFloat,
+    ValidationError,
+    field_validator,
+)
 
 from vntoolkit.checks import checks_kinds
 from vntoolkit.errors import BadInput, BadRig
@@ -22,9 +30,9 @@ from vntoolkit.photometry.transfer import Transfer
 
 _EXPECTED = "a rig.json of `vntoolkit calibrate`"
 # 2 added response.variation, 3 gel, 4 response.material, 5 the gel's fourth degree, 6 the lamps' doubts,
-# 7 gel.untouched; one without is as before
-RIG_VERSION = 7
-Version: TypeAlias = Literal[1, 2, 3, 4, 5, 6, 7]
+# 7 gel.untouched, 8 more than 4 numbers of distortion; one without is as before
+RIG_VERSION = 8
+Version: TypeAlias = Literal[1, 2, 3, 4, 5, 6, 7, 8]
 _listed = BeforeValidator(lambda value: value.tolist() if isinstance(value, np.ndarray) else value)
 _Pair = Annotated[tuple[FiniteFloat, FiniteFloat], _listed]
 _Row = Annotated[tuple[FiniteFloat, FiniteFloat, FiniteFloat], _listed]
@@ -167,6 +175,7 @@ def entry_from_rig(rig: Rig) -> RigFile:
 def _version_of(rig: Rig) -> Version:
     """The earliest version that holds what this rig has."""
     has: dict[Version, bool] = {
+        8: len(rig.camera.distortion) > 4,
         7: rig.gel is not None and rig.gel.untouched is not None,
         6: rig.response.light_doubts_deg is not None,
         5: rig.gel is not None,
@@ -202,7 +211,7 @@ def entry_from_camera(camera: Camera) -> CameraEntry:
         width=camera.width,
         height=camera.height,
         K=camera.matrix.tolist(),
-        distortion=tuple(camera.distortion.tolist()),
+        distortion=camera.distortion.tolist(),
     )
 
 
@@ -276,9 +285,20 @@ class CameraEntry(Entry):
         description="Camera matrix in pixels, row by row; pixel centres are integers. For ORTHOGRAPHIC, "
         "K[0][0] is pixels per length unit."
     )
-    distortion: tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat] = Field(
-        default=(0.0, 0.0, 0.0, 0.0), description="Brown's k1, k2, p1, p2 (OPENCV only), no unit."
+    distortion: list[FiniteFloat] = Field(
+        default=[0.0, 0.0, 0.0, 0.0],
+        description="k1, k2, p1, p2 and perhaps k3, or k3 to k6, in OpenCV's order (OPENCV only), no unit.",
     )
+
+    @field_validator("model", mode="before")
+    @classmethod
+    def _known_model(cls, model: object) -> object:
+        names = get_args(cls.model_fields["model"].annotation)
+        if model in names:
+            return model
+        raise ValueError(
+            f"expected {', '.join(names)}; of another lens undistort the footage, and name it PINHOLE"
+        )
 
 
 class VariationTermEntry(Entry):

@@ -160,9 +160,9 @@ class LiveProcessor:
     def _require_subject(self, frame: EncodedFrame, matte: Mask | None) -> None:
         """Raise `NoSubject` for a frame that is far darker than recent ones, or than the rig's material."""
         albedo = self._processor.albedo_in(frame, matte, 1.0)
-        if albedo is not None:
-            self._recent.append(albedo)
-        if albedo is None or albedo < self._darkest * np.median(self._recent):
+        usual = float(np.median(self._recent or [0.0]))
+        self._recent.extend([] if albedo is None else [albedo])
+        if albedo is None or albedo < self._darkest * usual:
             raise NoSubject(f"{frame.name}: no subject in sight: it is black, or far darker than before")
 
     def finish(self, begun: Begun) -> LiveResult:

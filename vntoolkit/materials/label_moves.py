@@ -14,10 +14,9 @@ from typing import Any
 import numpy as np
 from numba import prange
 
-from vntoolkit.arrays import Float32Array, FloatArray, Mask, Points
+from vntoolkit.arrays import Float32Array, FloatArray, Mask, MaterialLabels, Points
 from vntoolkit.materials.mixtures import (
     SEAM_PRICE,
-    MaterialLabels,
     Seams,
     Spread,
     blur_weights,

@@ -14,10 +14,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from vntoolkit.arrays import Float32Array, Mask, Points, Vector3
+from vntoolkit.arrays import Float32Array, Mask, MaterialLabels, Points, Vector3
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.materials.label_moves import MARGIN_PX, LabelEnergy, labels_and_energy
-from vntoolkit.materials.mixtures import SEAM_PRICE, MaterialLabels, Seams, Spread, near_seams
+from vntoolkit.materials.mixtures import SEAM_PRICE, Seams, Spread, near_seams
 from vntoolkit.materials.paint import Surface, without_paint
 from vntoolkit.materials.pigment import pigment_of
 from vntoolkit.materials.reflectance import Lamps

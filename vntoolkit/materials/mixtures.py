@@ -10,10 +10,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import correlate1d, maximum_filter, minimum_filter
 
-from vntoolkit.arrays import ByteArray, FloatArray, Mask, Points
+from vntoolkit.arrays import FloatArray, Mask, MaterialLabels, Points
 from vntoolkit.materials.reflectance import CAP, Lamps, lengths_of_normals
 
-MaterialLabels = ByteArray
 INDEPENDENT_PX = 64.0  # pixels that share their errors: lamps, gloss and ambient light change slowly
 SEAM_PRICE = 1.0  # nats, of two pixels of two materials side by side
 _MOST_REACH_PX = 3  # to either side, over which a seam is blurred

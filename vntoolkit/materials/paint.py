@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import distance_transform_edt, uniform_filter
 
-from vntoolkit.arrays import Float32Array, FloatArray, IntArray, Mask, Points
+from vntoolkit.arrays import Box, Float32Array, FloatArray, IntArray, Mask, MaterialLabels, Points
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.slope_grid import (
     FLATTEST_Z,
@@ -29,11 +29,9 @@ from vntoolkit.geometry.slope_grid import (
     slopes_kernel,
     weights_kernel,
 )
-from vntoolkit.materials.mixtures import MaterialLabels
 from vntoolkit.materials.reflectance import Lamps, lamps_from_response
 from vntoolkit.materials.split_frame import block_size, blocks_moved, cells_of, steady_box, sums_of_blocks
 from vntoolkit.photometry.frame import ALL_LIT, LinearFrame
-from vntoolkit.photometry.levelling import Box
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.solvers import grid_hierarchy, solve_grid
 

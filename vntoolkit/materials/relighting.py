@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from vntoolkit.arrays import FloatArray, Mask, Points
+from vntoolkit.arrays import FloatArray, Mask, MaterialLabels, Points
 from vntoolkit.materials.likeliest_light import likeliest_light
-from vntoolkit.materials.mixtures import MaterialLabels, Seams, near_seams, reach_of_blur
+from vntoolkit.materials.mixtures import Seams, near_seams, reach_of_blur
 from vntoolkit.materials.pigment import without_pigment
 from vntoolkit.materials.reflectance import lamps_from_response
 from vntoolkit.photometry.frame import LinearFrame

@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from vntoolkit.arrays import Float32Array, FloatArray, Mask, Matrix3, Vector3
+from vntoolkit.arrays import Box, Float32Array, FloatArray, Mask, Matrix3, Vector3, box_of
 from vntoolkit.materials.reflectance import Lamps, lamps_from_response
 from vntoolkit.photometry.frame import LinearFrame
-from vntoolkit.photometry.levelling import Box
 from vntoolkit.photometry.response import LightResponse
 
 WORKING_PIXELS = 60_000  # of the subject; more cost time and tell no other materials
@@ -114,14 +113,6 @@ def steady_box(mask: Mask, factor: int, before: Box | None) -> Box:
         for own, size in zip(inner, mask.shape, strict=True)
     )
     return rows, columns
-
-
-def box_of(mask: Mask) -> Box:
-    """Return the rows and the columns that a mask reaches over."""
-    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
-    if not len(rows):
-        return slice(0, 0), slice(0, 0)
-    return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
 
 
 def cells_of(image: FloatArray | Float32Array) -> Float32Array:

@@ -5,7 +5,18 @@ from typing import Any
 import numpy as np
 from numba import prange
 
-from vntoolkit.arrays import Array, Colours, Depth, Faces, FloatArray, IntArray, LinearImage, Mask, Points
+from vntoolkit.arrays import (
+    Array,
+    Colours,
+    Depth,
+    Faces,
+    FloatArray,
+    IntArray,
+    LinearImage,
+    Mask,
+    Points,
+    box_of,
+)  # fmt: skip
 from vntoolkit.checks import checks_kinds, require_same_size, require_some
 from vntoolkit.errors import BadInput, BadMesh
 from vntoolkit.geometry.camera import Camera
@@ -84,7 +95,7 @@ def _grid_of(depth_map: DepthMap, camera: Camera, options: MeshOptions) -> tuple
     """Return the rows and columns of the pixels that become vertices, and the triangles between them."""
     step = options.stride
     mask = depth_map.mask[::step, ::step]
-    box = _box_of(mask)
+    box = box_of(mask)
     mask = np.ascontiguousarray(mask[box])
     depth = np.ascontiguousarray(depth_map.depth[::step, ::step][box])
     kept = np.zeros(mask.shape, np.uint8)
@@ -108,14 +119,6 @@ def _grid_of(depth_map: DepthMap, camera: Camera, options: MeshOptions) -> tuple
     _vertices_kernel(kept, first[0], corner, step, index, rows, columns)
     _faces_kernel(kept, first[1], index, faces)
     return rows, columns, faces
-
-
-def _box_of(mask: Mask) -> tuple[slice, slice]:
-    """The rows and columns that hold a valid pixel; nothing where there is none."""
-    rows, columns = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
-    if not len(rows):
-        return slice(0, 0), slice(0, 0)
-    return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
 
 
 def _uv_at(camera: Camera, rows: IntArray, columns: IntArray) -> FloatArray:

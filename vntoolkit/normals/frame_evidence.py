@@ -33,6 +33,7 @@ from vntoolkit.normals.lost_detail import LEAST_BLUR_PX, detail_kernel, lost_ove
 from vntoolkit.photometry.frame import ALL_LIT
 from vntoolkit.photometry.levelling import FLAGS, map_row, span_of
 from vntoolkit.photometry.response import LightResponse, changes_of_near_lamps
+from vntoolkit.threads import one_blas_thread
 
 SHORTEST, LONGEST = np.float32(1e-6), np.float32(1e18)  # lengths whose squares float32 holds
 LEAST_FACING = np.float32(0.1)
@@ -166,6 +167,7 @@ def _along_rows(cells: Any, width: int) -> Any:
     return cv2.resize(cells, (across * _CELL, height), interpolation=cv2.INTER_LINEAR)[:, :width]
 
 
+@one_blas_thread()
 def fit_ellipsoid(
     samples: FloatArray, shape: tuple[int, int], nearness: FloatArray
 ) -> tuple[FloatArray, FloatArray]:

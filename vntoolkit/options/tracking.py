@@ -8,6 +8,7 @@ from vntoolkit.checks import require_in_range
 from vntoolkit.errors import BadInput
 from vntoolkit.options.base import Named, Options, named
 
+LOST_PX = 4.0  # expected error of a vertex above which it is called lost
 _PAPERS_LENGTH = 38.7  # edges: sqrt(1.5 / β) for the paper's β = 1e-3 on edges of length 1
 
 _PAPERS_SHARE = 0.9

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import prange
 
-from vntoolkit.arrays import Array, FloatArray
+from vntoolkit.arrays import Array, Box, FloatArray
 from vntoolkit.native import njit
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
@@ -19,8 +19,6 @@ from vntoolkit.photometry.response import LightResponse
 FLAGS = {"contract", "arcp", "nsz"}  # of compiled loops: reordering that keeps NaN and infinity meaningful
 _ERROR = 1e-5  # of a map's numbers: what parabolas may be off by, as float32 colours are after M⁻¹
 _WIDEST = 64  # steps of the grid in pixels: the widest of these powers of two is taken that keeps to it
-
-Box = tuple[slice, slice]
 
 
 class ColourMaps(NamedTuple):

@@ -140,7 +140,7 @@ def calibrate_sphere(job: CalibrationJob, options: SphereOptions) -> tuple[Rig, 
         result = fit_response_to_switched_sphere(alone, camera, mask, options, rng, dark)
     response = result.fit.response
     response = _with_single_lights(job, response, mask)
-    return _rig(job, capture, camera, response, result.fit.quality, "the ball", mattes.files), result
+    return rig_of(job, capture, camera, response, result.fit.quality, "the ball", mattes.files), result
 
 
 def noted(
@@ -199,7 +199,9 @@ def calibrate_board(
     if result.light_colours is not None and not job.single_light:
         response = with_light_colours(response, result.light_colours)
     response = _with_single_lights(job, response, None)
-    return _rig(job, capture, result.camera, response, result.fit.quality, "the sample in the board"), result
+    return rig_of(
+        job, capture, result.camera, response, result.fit.quality, "the sample in the board"
+    ), result
 
 
 def calibrate_lights(
@@ -272,7 +274,7 @@ def _with_single_lights(job: CalibrationJob, response: LightResponse, mask: Mask
     return with_light_colours(response, fit_light_colours(_alone(capture, switched), mask))
 
 
-def _rig(
+def rig_of(
     job: CalibrationJob,
     capture: Capture,
     camera: Camera,
@@ -281,6 +283,7 @@ def _rig(
     material: str,
     mattes: tuple[Path, ...] = (),
 ) -> Rig:
+    """Return the rig of a calibration on footage, with every file that it read."""
     lamps = [path for source in job.single_light for path in job.open(source).info.files]
     extra = [path for path in (*mattes, job.background, *lamps) if path is not None]
     return Rig(

@@ -31,7 +31,6 @@ from vntoolkit.calibration.head.tracks import TrackBuilder, Tracks, local_contra
 from vntoolkit.errors import BadCalibration, BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.mesh import Mesh
-from vntoolkit.io.files import source_file
 from vntoolkit.io.footage.captures import Capture
 from vntoolkit.io.footage.decoding import Undistorter
 from vntoolkit.options.footage import Gaps
@@ -44,7 +43,7 @@ from vntoolkit.options.head import (
 )
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.rig import Rig
-from vntoolkit.pipeline.calibrate import CalibrationJob
+from vntoolkit.pipeline.calibrate import CalibrationJob, rig_of
 
 _SEED = 0
 _INITIAL_FOCAL = 3.0  # of the picture's longer side, where nobody knows: a portrait lens
@@ -115,7 +114,7 @@ def calibrate_head(
     turn = _Turn(capture=capture, undistorter=undistorter, footage=footage, motion=carved.motion)
     with clock.stage("light"):
         chosen = spread_over_turn(carved.views, options.samples.light_frames)
-        samples = sample_head(shape, carved.motion.camera, list(turn.frames(chosen)), options.samples, rng)
+        samples = sample_head(shape, carved.motion.camera, turn.frames(chosen), options.samples, rng)
         light = fit_light(samples, HeadRays(shape), options.light, rng)
         on_progress("light", 1, 1)
     mesh, refined = shape, None
@@ -132,15 +131,8 @@ def calibrate_head(
                 partial(on_progress, "refinement"),
             )
         mesh, samples, light = refined.mesh, refined.samples, refined.light
-    extra = [path for path in (job.background,) if path is not None]
-    rig = Rig(
-        camera=carved.motion.camera if given is None else given,
-        response=light.response,
-        transfer=capture.transfer,
-        quality=light.quality,
-        sources=tuple(source_file(path) for path in (*capture.info.files, *extra)),
-        material="the skin of the head",
-    )
+    camera = carved.motion.camera if given is None else given
+    rig = rig_of(job, capture, camera, light.response, light.quality, "the skin of the head")
     return rig, HeadCalibration(
         footage=footage,
         tracks=tracks,

@@ -10,7 +10,6 @@ from vntoolkit.arrays import ByteArray
 from vntoolkit.errors import BadInput
 from vntoolkit.io.footage.frame_range import sampled
 from vntoolkit.io.footage.images import write_png
-from vntoolkit.io.footage.video import write_video
 from vntoolkit.options.tracking import CheckerboardOptions
 from vntoolkit.pipeline.opened_result import OpenedResult, open_result
 from vntoolkit.pipeline.tracked_folder import (
@@ -35,6 +34,8 @@ def write_checkerboard(
     folder: Path, track_folder: Path | None = None, options: CheckerboardOptions | None = None
 ) -> CheckerboardFiles:
     """Write checkerboard.mkv (lossless) and checkerboard.png (eight frames) into the track folder."""
+    from vntoolkit.io.footage.video import write_video
+
     target = track_folder or folder / "track"
     tracks, result = read_tracks(target), open_result(folder, says_missing=False)
     sheet = _Sheet(len(tracks.numbers))

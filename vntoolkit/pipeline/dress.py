@@ -11,16 +11,17 @@ from scipy.spatial.transform import Rotation
 
 from vntoolkit.arrays import Faces, Float32Array, FloatArray, IntArray, Points, Vector3
 from vntoolkit.errors import BadInput
-from vntoolkit.geometry.camera import Camera
+from vntoolkit.geometry.camera import Camera, ViewedFrom
 from vntoolkit.geometry.garment_fit import GarmentFit
 from vntoolkit.geometry.mesh import Mesh, MeshSequence, vertex_normals
 from vntoolkit.geometry.motion import Motion, Skeleton, bone_segments, pose_of_frame
 from vntoolkit.geometry.rigid import Similarity
-from vntoolkit.geometry.skinned_clip import SkinnedClip, ViewedFrom, blend_shapes
+from vntoolkit.geometry.skinned_clip import SkinnedClip, blend_shapes
 from vntoolkit.io.atomic import require_writable_folder
 from vntoolkit.io.footage.frame_range import sampled
 from vntoolkit.io.maps_and_meshes.glb import write_glb, write_glb_skin
 from vntoolkit.io.maps_and_meshes.meshes import read_mesh, write_material, write_mesh
+from vntoolkit.io.maps_and_meshes.texture import SurfaceTexture
 from vntoolkit.io.maps_and_meshes.usd import write_usd_sequence, write_usd_skin
 from vntoolkit.io.motion.asf import read_asf_amc
 from vntoolkit.io.motion.bvh import read_bvh
@@ -33,7 +34,7 @@ from vntoolkit.options.dressing import (
     MotionUpAxis,
 )
 from vntoolkit.pipeline.outputs import ReconstructionFolder
-from vntoolkit.pipeline.texture import SurfaceTexture, read_texture, texture_of_tracks
+from vntoolkit.pipeline.texture_files import colours_from_texture, read_texture, texture_of_tracks
 from vntoolkit.pipeline.tracked_folder import (
     Tracks,
     colours_at,
@@ -380,8 +381,8 @@ def write_dressed_figure(
     camera = None if look.camera is None else dressed.viewed_from(look.camera)
     texture = look.texture if dressed.template.uv is not None else None
     is_glb, is_file = out.suffix.lower() == ".glb", out.suffix.lower() in _FILE_SUFFIXES
-    embedded = texture.content if texture is not None and is_glb else None
-    named = texture.beside(out).names if texture is not None and is_file and not is_glb else None
+    if texture is not None and is_file and not is_glb:
+        texture = texture.beside(out)
 
     def frames() -> Iterator[Points]:
         for index, vertices in enumerate(dressed.frames()):
@@ -392,16 +393,16 @@ def write_dressed_figure(
     if dressed.carrier is Carrier.SKIN and is_file:
         clip = dressed.skin().moved(offset)
         if is_glb:
-            count = write_glb_skin(out, clip, camera=camera, texture=embedded)
+            count = write_glb_skin(out, clip, camera=camera, texture=texture)
         else:
-            count = write_usd_skin(out, clip, camera=camera, texture=named)
+            count = write_usd_skin(out, clip, camera=camera, texture=texture)
         for _ in frames():
             pass  # measured
         return DressSummary(frames=count, findings=meter.findings, fold_error=clip.shape_error)
     match out.suffix.lower():
         case ".glb":
             count = write_glb(
-                out, dressed.template, frames(), frame_rate_hz=rate, camera=camera, texture=embedded
+                out, dressed.template, frames(), frame_rate_hz=rate, camera=camera, texture=texture
             )
         case suffix if suffix in _SEQUENCE_SUFFIXES:
             count = _write_files(dressed.template, frames(), out, texture)
@@ -415,7 +416,7 @@ def write_dressed_figure(
                 frame_rate_hz=rate,
                 motion=played,
                 camera=camera,
-                texture=named,
+                texture=texture,
             )
     return DressSummary(frames=count, findings=meter.findings)
 
@@ -441,8 +442,8 @@ def _write_files(
     count, material = 0, None
     if texture is not None and pattern.suffix.lower() == ".obj":
         shared = pattern.with_name(f"{pattern.stem.split('%')[0].rstrip('_') or 'cloth'}.mtl")
-        names, material = texture.beside(shared).names, shared.name
-        write_material(shared, names.albedo, names.normal)
+        texture, material = texture.beside(shared), shared.name
+        write_material(shared, texture.albedo, texture.normal)
     for count, vertices in enumerate(frames, start=1):
         normals = vertex_normals(vertices, template.faces)
         mesh = replace(template, vertices=vertices, normals=normals)
@@ -519,8 +520,7 @@ def _as_captured(tracks: Tracks) -> MeshSequence:
         return cloth
     if "camera" in tracks.record:
         template = replace(template, uv=uv_in_picture(tracks.camera.without_distortion(), vertices))
-    texture = read_texture(tracks.folder)
-    albedo = None if texture is None else texture.colours(template)
+    albedo = colours_from_texture(read_texture(tracks.folder), template)
     own = ReconstructionFolder(root=tracks.folder.parent).file("mesh", tracks.template)
     if albedo is not None:
         template = replace(template, colours=albedo)

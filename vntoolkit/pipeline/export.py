@@ -11,22 +11,18 @@ import numpy as np
 
 from vntoolkit.arrays import Array, FloatArray, Vector3
 from vntoolkit.errors import BadInput, VntError
-from vntoolkit.geometry.camera import Camera
+from vntoolkit.geometry.camera import Camera, ViewedFrom
 from vntoolkit.geometry.maps import LengthUnit
 from vntoolkit.geometry.mesh import Mesh, vertex_normals
-from vntoolkit.geometry.skinned_clip import ViewedFrom
 from vntoolkit.io import atomic
 from vntoolkit.io.conventions import graphics_from_camera
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.light_files import remove_diligent, write_diligent
 from vntoolkit.io.maps_and_meshes.arrays import StreamedArray, write_npz
-from vntoolkit.io.maps_and_meshes.glb import write_glb
 from vntoolkit.io.maps_and_meshes.maps import write_normal_map
 from vntoolkit.io.maps_and_meshes.meshes import write_material, write_mesh, write_point_cloud
-from vntoolkit.io.maps_and_meshes.usd import write_usd_meshes, write_usd_sequence
+from vntoolkit.io.maps_and_meshes.texture import SurfaceTexture
 from vntoolkit.io.results.folder import FolderKind, begin_run, read_lock, write_lock
-from vntoolkit.meshing.clean import clean_mesh
-from vntoolkit.meshing.surface import point_cloud_from_depth
 from vntoolkit.options.export import (
     ExportedSurface,
     ExportFormat,
@@ -35,8 +31,7 @@ from vntoolkit.options.export import (
 )
 from vntoolkit.pipeline.opened_result import OpenedResult, TrackedSurface, open_result
 from vntoolkit.pipeline.options import option_values
-from vntoolkit.pipeline.texture import SurfaceTexture, texture_of_tracks
-from vntoolkit.pipeline.tracked_folder import colours_at
+from vntoolkit.pipeline.texture_files import colours_from_texture, texture_of_tracks
 
 _MATERIAL = "surface.mtl"  # of all frames in a folder of OBJ files
 Advance = Callable[[], None]
@@ -53,7 +48,7 @@ class ExportJob:
     """
 
     folder: Path
-    options: "ExportOptions"
+    options: ExportOptions
     out: Path | None = None
     frames: FrameRange | None = None
     footage: str = ""
@@ -102,7 +97,7 @@ def _export(
     return _export_folder(job, result, track, overwrite, on_start, on_frame)
 
 
-def _track_of(result: OpenedResult, options: "ExportOptions") -> TrackedSurface | None:
+def _track_of(result: OpenedResult, options: ExportOptions) -> TrackedSurface | None:
     if options.mesh is ExportedSurface.FRAMES:
         return None
     if options.cleaning is not None and result.track is not None:
@@ -135,6 +130,8 @@ def _export_animation(
         return thing
 
     if track is None:
+        from vntoolkit.io.maps_and_meshes.usd import write_usd_meshes
+
         own = (passing(own_mesh(result, n, options, lengths.factor)) for n in numbers)
         count = write_usd_meshes(
             out,
@@ -152,11 +149,14 @@ def _export_animation(
     template = with_captured_colours(track, result, texture)
     camera = viewed_from(result.camera, offset)
     if options.to is ExportFormat.GLB:
-        embedded = None if texture is None else texture.content
+        from vntoolkit.io.maps_and_meshes.glb import write_glb
+
         count = write_glb(
-            out, template, moving, frame_rate_hz=rate, times_s=times_s, camera=camera, texture=embedded
+            out, template, moving, frame_rate_hz=rate, times_s=times_s, camera=camera, texture=texture
         )
     else:
+        from vntoolkit.io.maps_and_meshes.usd import write_usd_sequence
+
         count = write_usd_sequence(
             out,
             template,
@@ -166,12 +166,12 @@ def _export_animation(
             metres_per_unit=lengths.metres_per_unit,
             up=options.up,
             camera=camera,
-            texture=None if texture is None else texture.beside(out).names,
+            texture=None if texture is None else texture.beside(out),
         )
     return ExportSummary(out=out, frames=count, kept=0, is_tracked=True, offset=offset)
 
 
-def offset_of(track: TrackedSurface, options: "ExportOptions", factor: float) -> Vector3:
+def offset_of(track: TrackedSurface, options: ExportOptions, factor: float) -> Vector3:
     """Return (3,): what puts the template's middle above the origin and its lowest point on the floor."""
     if not options.centre:
         return np.zeros(3)
@@ -185,12 +185,14 @@ def with_captured_colours(
 ) -> Mesh:
     """Return the template with the colours of its texture, else those that its own frame has there."""
     template = track.sequence.template
-    albedo = None if texture is None else texture.colours(template)
+    albedo = colours_from_texture(texture, template)
     if albedo is not None:
         return replace(template, colours=albedo)
     own = result.mesh(track.template)
     if template.colours is not None or own is None or own.colours is None:
         return template
+    from vntoolkit.pipeline.tracked_folder import colours_at
+
     return replace(template, colours=colours_at(track.mesh(track.template).vertices, own))
 
 
@@ -304,6 +306,8 @@ def own_mesh(result: OpenedResult, number: int, options: ExportOptions, factor: 
     if mesh is None:
         raise BadInput(f"frame {number}: its mesh has vanished")
     if options.cleaning is not None:
+        from vntoolkit.meshing.clean import clean_mesh
+
         mesh = clean_mesh(mesh, options.cleaning)
     return replace(mesh, vertices=mesh.vertices * factor)
 
@@ -398,6 +402,8 @@ class _Meshes(FrameExport):
         if self._texture is not None and self.options.to is ExportFormat.OBJ:
             material = self._material(out)
         if self.options.to is ExportFormat.GLB:
+            from vntoolkit.io.maps_and_meshes.glb import write_glb
+
             rate = self.result.manifest.input.playing_rate_hz
             camera = viewed_from(self.result.camera, self.offset)
             write_glb(path, mesh, iter([mesh.vertices]), frame_rate_hz=rate, camera=camera)
@@ -408,8 +414,8 @@ class _Meshes(FrameExport):
         """Write the material that all frames share, once; return its name."""
         path = out / _MATERIAL
         if self._texture is not None and not self._has_material:
-            names = self._texture.beside(path).names
-            write_material(path, names.albedo, names.normal)
+            beside = self._texture.beside(path)
+            write_material(path, beside.albedo, beside.normal)
             self._has_material = True
         return path.name
 
@@ -434,6 +440,8 @@ class _PointClouds(FrameExport):
         return [self.result.folder.file(kind, number) for kind in ("normals", "depth")]
 
     def write(self, out: Path, number: int) -> None:
+        from vntoolkit.meshing.surface import point_cloud_from_depth
+
         depth_map = self.result.depth(number)
         assert depth_map is not None
         try:

@@ -9,7 +9,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from vntoolkit.arrays import BoolArray, Colours, FloatArray, LinearImage, Mask
+from vntoolkit.arrays import (
+    BoolArray,
+    Box,
+    Colours,
+    FloatArray,
+    LinearImage,
+    Mask,
+    MaterialLabels,
+    box_of,
+)
 from vntoolkit.checks import require_shape
 from vntoolkit.errors import BadInput, NoSubject
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
@@ -21,7 +30,7 @@ from vntoolkit.normals.inversion import normals_from_encoded, normals_from_frame
 from vntoolkit.options.normals import ShadowMethod
 from vntoolkit.options.reconstruction import Product, ReconstructOptions
 from vntoolkit.photometry.frame import LinearFrame
-from vntoolkit.photometry.levelling import Box, leveller_of
+from vntoolkit.photometry.levelling import leveller_of
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import Transfer, TransferCurve, encoded_from_linear
 from vntoolkit.pipeline.outputs import FrameResult
@@ -29,7 +38,6 @@ from vntoolkit.pipeline.outputs import FrameResult
 if TYPE_CHECKING:
     from vntoolkit.integration.integrate import DepthAnchor, DepthIntegrator
     from vntoolkit.materials.labelling import FrameStatistics, LabelState, MaterialLabeller
-    from vntoolkit.materials.mixtures import MaterialLabels
 
 _SAMPLES = (slice(None, None, 4),) * 2  # these pixels tell how bright a subject is
 
@@ -185,7 +193,7 @@ class FrameProcessor:
         if linear is None or materials is None or self._labeller is None or carried.labels is None:
             return PreparedFrame(frame=frame, mask=mask, linear=linear)
         linear, turned_deg, carried.labels = self._labeller.relit(
-            linear, materials, carried.labels, mask, _box_of(mask)
+            linear, materials, carried.labels, mask, box_of(mask)
         )
         errors_deg = np.array([each.error_deg for each in self._materials])
         bounds_deg = (expected_error.OF_ANGLE * errors_deg).astype(np.float32)
@@ -280,9 +288,9 @@ class FrameProcessor:
             return _result(prepared, self._gel.normals(linear, mask), clipped_share)
         labels, lamps, level = None, None, linear
         if self._leveller is not None and (self._shadows is not None or self._with_errors):
-            level = self._leveller.frame(linear, _box_of(mask))
+            level = self._leveller.frame(linear, box_of(mask))
         if self._shadows is not None:
-            by_strength = self.by_strength(linear, None if self._leveller is None else _box_of(mask))
+            by_strength = self.by_strength(linear, None if self._leveller is None else box_of(mask))
             normal_map, labels, lamps = self._shadows.normals(level, by_strength, mask)
         else:
             normal_map = normals_from_frame(linear, self._rig.response, mask, options=self._options.inversion)
@@ -317,7 +325,7 @@ class FrameProcessor:
         assert self._shadows is not None
         linear, mask = self.linear(frame), self._mask_of(matte)
         level = linear if self._leveller is None else self._leveller.frame(linear)
-        by_strength = self.by_strength(linear, None if self._leveller is None else _box_of(mask))
+        by_strength = self.by_strength(linear, None if self._leveller is None else box_of(mask))
         return self._shadows.unlit_by_lamp(level, by_strength, mask)
 
     # Normals → depth → mesh. Frames come in order.
@@ -347,13 +355,14 @@ class FrameProcessor:
         return replace(result, mesh=mesh)
 
     def _integrated(self, result: FrameResult, carried: Carried) -> DepthMap:
-        from vntoolkit.integration.cast_shadows import steps_from_shadows
         from vntoolkit.integration.integrate import DepthIntegrator
-        from vntoolkit.integration.slopes import rays_from_camera
 
         carried.integrator = carried.integrator or DepthIntegrator(self.camera, self._options.integration)
         steps, lamps = None, result.lamps
         if lamps is not None and result.labels is not None:
+            from vntoolkit.integration.cast_shadows import steps_from_shadows
+            from vntoolkit.integration.slopes import rays_from_camera
+
             rays = rays_from_camera(self.camera)
             steps = steps_from_shadows(result.normal_map, result.labels, lamps.at, lamps.doubts, rays)
         return carried.integrator.integrate(result.normal_map, steps)
@@ -394,12 +403,6 @@ def _no_subject(name: str) -> NoSubject:
         f"{name}: no subject in sight: all pixels are black, clipped or outside the mask; look at exposure, "
         "mask and rig"
     )
-
-
-def _box_of(mask: Mask) -> Box:
-    from vntoolkit.materials.split_frame import box_of
-
-    return box_of(mask)
 
 
 def _result(prepared: PreparedFrame, normal_map: NormalMap, clipped_share: float) -> FrameResult:

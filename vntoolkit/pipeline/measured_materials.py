@@ -6,12 +6,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from vntoolkit.arrays import FloatArray, Mask, Vector3
-from vntoolkit.errors import BadCapture, BadInput
+from vntoolkit.arrays import FloatArray, Mask, MaterialLabels, Vector3
+from vntoolkit.errors import BadInput
 from vntoolkit.io.results.manifest import MaterialEntry
 from vntoolkit.materials.grey_paint import CLEAR, in_doubt, nats_over_grey
 from vntoolkit.materials.labelling import LabelState, MaterialLabeller
-from vntoolkit.materials.mixtures import MaterialLabels
 from vntoolkit.materials.relighting import relit
 from vntoolkit.materials.search import (
     WORST_ERROR_DEG,
@@ -21,114 +20,82 @@ from vntoolkit.materials.search import (
     fitted_again,
     searched_frames,
 )
-from vntoolkit.materials.split_frame import block_size
-from vntoolkit.normals.inversion import relative_albedo_from_frame
 from vntoolkit.options.reconstruction import MaterialSearch, ReconstructOptions
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.levelling import leveller_of
-from vntoolkit.photometry.response import LightResponse, scaled_normals_from_rgb
+from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline.frame_processor import FrameProcessor
-from vntoolkit.pipeline.request import Footage, seeks_materials
+from vntoolkit.pipeline.request import Footage
+from vntoolkit.pipeline.rig_material import JUDGED, LIT_SHARE, MOST_UNEXPLAINED, REMEDY, WRONG_LENGTH
 from vntoolkit.pipeline.threads import read_ahead
 
 logger = logging.getLogger(__name__)
 _LOOKED_AT = 3  # frames …
 _APART = 8  # … this far from each other, where there are as many: the subject then shows other normals
-_WORST_RESIDUAL = (
-    0.22  # of normals' lengths; photographs of one material reach 0.16, of another colour 0.29 on
-)
-_WRONG_LENGTH = 0.25  # of a normal, that neither noise nor shading makes
-_MOST_UNEXPLAINED = 0.1  # of the lit pixels: folds that light each other, eyes, buttons
 _MOST_UNEXPLAINED_OF_ANY = 0.4  # more, and nothing that was found can be trusted
-_JUDGED = 40_000  # pixels tell how much is not explained
-_LIT_SHARE = 0.06  # of the strongest lamp's light that reaches a pixel: less may be shadow
-# Another colour pulls all normals towards a lamp: those of simulated garments and faces then lie 43 to 64
-# degrees off, else 2 to 38. A sheet so far turned shows seven tenths of its area.
-_LARGEST_TILT_DEG = 45.0
-_REMEDY = "film the subject while it turns, or calibrate on its own material"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MeasuredMaterials:
     """What the first frames tell of a subject's materials.
 
-    entries: empty where all is the rig's. relative_albedo: how bright the subject is against the rig's
-    material. seen: the first frame, labelled; None where all is the rig's.
+    entries: empty where all is the rig's. seen: the first frame, labelled; None where all is the rig's.
     """
 
     entries: list[MaterialEntry]
-    relative_albedo: float
     seen: "LabelledFrame | None" = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _FirstFrame:
-    """One of the frames looked at, and with every lamp as strong as at the centre. mask, subject: (h, w)."""
+    """One of the frames looked at, and with every lamp as strong as at the centre. subject: (h, w)."""
 
-    name: str
     frame: LinearFrame
     by_strength: LinearFrame
-    mask: Mask
     subject: Mask
 
 
 def first_frames(
     rig: Rig, options: ReconstructOptions, footage: Footage, numbers: Sequence[int]
 ) -> Iterator[_FirstFrame]:
-    """Yield the first frame and, where materials are sought, some in which the subject has moved."""
+    """Yield the first frame and some in which the subject has moved."""
     there, capture = footage.usable(numbers), footage.capture
     step = max(1, min(_APART, (len(there) - 1) // (_LOOKED_AT - 1)))
-    looked_at = there[::step][: _LOOKED_AT if seeks_materials(rig, options) else 1]
+    looked_at = there[::step][:_LOOKED_AT]
     for encoded in read_ahead(map(capture.encoded, looked_at), len(looked_at)):
         processor = FrameProcessor(rig, options, footage.mattes.of(encoded), capture.background)
         frame = processor.linear(encoded)
         yield _FirstFrame(
-            name=encoded.name,
             frame=frame,
             by_strength=processor.by_strength(frame),
-            mask=processor.whole_mask,
             subject=processor.lit_subject(frame),
         )
 
 
 def measured_materials(
-    rig: Rig,
-    options: ReconstructOptions,
-    footage: Footage,
-    numbers: Sequence[int],
-    lamps_in_words: str = "",
+    rig: Rig, options: ReconstructOptions, footage: Footage, numbers: Sequence[int]
 ) -> MeasuredMaterials:
-    """Measure the materials, or how bright the rig's is. lamps_in_words: what shadows did not tell of them.
+    """Measure the materials on the first frames.
 
-    Logs a warning where the footage cannot tell, or is not of the calibration material though it counts as
-    such. Raises `BadInput` where a number of materials is asked for that cannot be told, `BadCapture` where
-    the first frame shows nothing.
+    Logs a warning where the footage cannot tell. Raises `BadInput` where a number of materials is asked for
+    that cannot be told.
     """
-    firsts = list(first_frames(rig, options, footage, numbers))
     response, choice = rig.response, options.materials
-    try:
-        albedo = relative_albedo_from_frame(firsts[0].frame, response, firsts[0].mask)
-    except BadInput as error:
-        raise BadCapture(f"{firsts[0].name}: {error}") from error
-    short = float(np.format_float_positional(albedo, precision=4, fractional=False))
-    if seeks_materials(rig, options):
-        levelled, subjects = zip(*((each.by_strength, each.subject) for each in firsts), strict=True)
-        central = response.central
-        first = levelled[0], subjects[0], central
-        count = None if isinstance(choice, MaterialSearch) else choice
-        searched = searched_frames(levelled, subjects, central)
-        found = _better_than_grey(find_materials(searched, count), searched, count)
-        if found:
-            seen = LabelledFrame.by(found, *first)
-            found = _told(found, choice)
-            found, pigments = _with_pigments(found, seen)
-            found = _explaining(found, pigments, seen, choice)
-        if found:
-            entries = _entries(in_doubt(found, searched), pigments)
-            return MeasuredMaterials(entries=entries, relative_albedo=short, seen=seen)
-    _warn_of_other_material(response, choice, firsts[0].frame, firsts[0].mask, albedo, lamps_in_words)
-    return MeasuredMaterials(entries=[], relative_albedo=short)
+    firsts = list(first_frames(rig, options, footage, numbers))
+    levelled, subjects = zip(*((each.by_strength, each.subject) for each in firsts), strict=True)
+    central = response.central
+    count = None if isinstance(choice, MaterialSearch) else choice
+    searched = searched_frames(levelled, subjects, central)
+    found = _better_than_grey(find_materials(searched, count), searched, count)
+    if found:
+        seen = LabelledFrame.by(found, levelled[0], subjects[0], central)
+        found = _told(found, choice)
+        found, pigments = _with_pigments(found, seen)
+        found = _explaining(found, pigments, seen, choice)
+    if found:
+        return MeasuredMaterials(entries=_entries(in_doubt(found, searched), pigments), seen=seen)
+    return MeasuredMaterials(entries=[])
 
 
 def _better_than_grey(found: list[Material], searched: SearchedFrames, count: int | None) -> list[Material]:
@@ -144,7 +111,7 @@ def _better_than_grey(found: list[Material], searched: SearchedFrames, count: in
     if count == 1:
         logger.warning(
             "materials: another hue than the rig's describes the subject no better than what gloss and light "
-            "between folds may do; the rig's material is taken; %s", _REMEDY,
+            "between folds may do; the rig's material is taken; %s", REMEDY,
         )  # fmt: skip
     return []
 
@@ -193,7 +160,7 @@ def _told(found: list[Material], choice: MaterialSearch | int) -> list[Material]
         turn = f"{worst:.0f} degrees" if worst < 90.0 else "more than 90 degrees"
         message = (
             f"materials: the subject's reflectance cannot be told (its error turns normals by {turn}): "
-            f"{spread}; {_REMEDY}"
+            f"{spread}; {REMEDY}"
         )
         if choice is not MaterialSearch.AUTO:
             raise BadInput(message)
@@ -204,7 +171,7 @@ def _told(found: list[Material], choice: MaterialSearch | int) -> list[Material]
             logger.warning(
                 "materials: the reflectance of material %d (%.0f %% of the subject) may turn normals by %.0f "
                 "degrees: %s; %s",
-                number, 100 * material.share, material.reflectance.error_deg, spread, _REMEDY,
+                number, 100 * material.share, material.reflectance.error_deg, spread, REMEDY,
             )  # fmt: skip
     return found
 
@@ -250,7 +217,7 @@ class LabelledFrame:
         along = np.array([np.zeros(3) if each is None else each for each in pigments])
         rgb = relit(self.frame, self.response, self.labels, values, along, self.state.seams, self.mask).rgb
         sound = np.flatnonzero(self.mask & ~self.frame.clipped)
-        return rgb.reshape(-1, 3)[sound[:: max(1, len(sound) // _JUDGED)]].astype(np.float64)
+        return rgb.reshape(-1, 3)[sound[:: max(1, len(sound) // JUDGED)]].astype(np.float64)
 
 
 def _with_pigments(found: list[Material], seen: LabelledFrame) -> tuple[list[Material], list[Vector3 | None]]:
@@ -276,10 +243,10 @@ def _explaining(
         return found
     response, rgb = seen.response, seen.relit(found, pigments)
     lamps = rgb @ response.contributions_from_rgb.T
-    lit = (lamps > _LIT_SHARE * lamps.max(axis=1, keepdims=True)).all(axis=1)
+    lit = (lamps > LIT_SHARE * lamps.max(axis=1, keepdims=True)).all(axis=1)
     length = np.linalg.norm((rgb[lit] - response.ambient) @ response.inverse.T, axis=1)
-    wrong = float(np.mean(np.abs(length - 1.0) > _WRONG_LENGTH)) if length.size else 0.0
-    if wrong <= _MOST_UNEXPLAINED:
+    wrong = float(np.mean(np.abs(length - 1.0) > WRONG_LENGTH)) if length.size else 0.0
+    if wrong <= MOST_UNEXPLAINED:
         return found
     kept = wrong <= _MOST_UNEXPLAINED_OF_ANY
     logger.warning(
@@ -287,64 +254,10 @@ def _explaining(
         "off by more than %.0f %% (expected in at most %.0f %%). Colours were not found, or the surface is "
         "glossy; the normals there are wrong%s; film closer, so that every patch of one colour is large, or "
         "calibrate on the subject's main material",
-        100 * wrong, len(found), 100 * _WRONG_LENGTH, 100 * _MOST_UNEXPLAINED,
+        100 * wrong, len(found), 100 * WRONG_LENGTH, 100 * MOST_UNEXPLAINED,
         "" if kept else "; the rig's material is taken",
     )  # fmt: skip
     return found if kept or choice is not MaterialSearch.AUTO else []
-
-
-def _warn_of_other_material(
-    response: LightResponse,
-    choice: MaterialSearch | int,
-    frame: LinearFrame,
-    mask: Mask,
-    albedo: float,
-    lamps_in_words: str,
-) -> None:
-    lit = mask & ~frame.clipped
-    step = block_size(lit, _JUDGED)
-    rgb, lit = frame.rgb[::step, ::step], lit[::step, ::step]
-    v, u = np.nonzero(lit)
-    scaled = scaled_normals_from_rgb(rgb[lit], response, float(step) * np.stack([u, v], axis=-1))
-    length = np.linalg.norm(scaled, axis=1) / albedo
-    bright = length > 0.3  # the rest is in shadow
-    if not bright.any():
-        return
-    light = rgb[lit] - response.ambient
-    reached = length[bright & (light > _LIT_SHARE * light.max(axis=1, keepdims=True)).all(axis=1)]
-    facing = (scaled[bright] / length[bright, None]).mean(axis=0)
-    tilt_deg = float(np.degrees(np.arccos(np.clip(-facing[2] / np.linalg.norm(facing), -1.0, 1.0))))
-    residual = 1.4826 * float(np.median(np.abs(length[bright] - np.median(length[bright]))))
-    off = float(np.mean(np.abs(reached / np.median(reached) - 1.0) > _WRONG_LENGTH)) if reached.size else 0.0
-    wrong = []
-    if residual > _WORST_RESIDUAL:
-        wrong.append(
-            f"the lengths of its normals, which should be equal, spread by {100 * residual:.0f} % (expected "
-            f"below {100 * _WORST_RESIDUAL:.0f})"
-        )
-    elif off > _MOST_UNEXPLAINED and response.light_colours is None:  # with colours, told before
-        wrong.append(
-            f"the lengths of {100 * off:.0f} % of its normals are off by more than {100 * _WRONG_LENGTH:.0f} "
-            f"% (expected in at most {100 * _MOST_UNEXPLAINED:.0f} %; gloss does this, too)"
-        )
-    if tilt_deg > _LARGEST_TILT_DEG:
-        wrong.append(
-            f"its normals point {tilt_deg:.0f} degrees away from the camera on average (expected below "
-            f"{_LARGEST_TILT_DEG:.0f})"
-        )
-    if wrong:
-        remedy = (
-            f"{lamps_in_words}calibrate with one photograph per lamp (--single-light), "
-            "so that --materials auto can tell them"
-            if response.light_colours is None
-            else "try --materials auto"
-            if choice is not MaterialSearch.AUTO
-            else f"--materials auto found no others that explain them; {_REMEDY}"
-        )
-        logger.warning(
-            "materials: the subject does not look like the calibration material: %s; %s",
-            " and ".join(wrong), remedy,
-        )  # fmt: skip
 
 
 def _entries(found: list[Material], pigments: list[Vector3 | None]) -> list[MaterialEntry]:

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -14,8 +14,6 @@ from vntoolkit.errors import BadCapture, BadInput, VntError
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
 from vntoolkit.geometry.mesh import Mesh, MeshSequence
-from vntoolkit.io.footage.captures import Capture, CaptureOptions, open_capture
-from vntoolkit.io.footage.decoding import linear_frame_from_encoded, resampler_of
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.maps_and_meshes.label_images import read_labels, read_materials
 from vntoolkit.io.maps_and_meshes.maps import read_depth_map, read_normal_map
@@ -32,13 +30,13 @@ from vntoolkit.io.results.manifest import (
     result_digest,
     rig_of_result,
 )
-from vntoolkit.options.footage import Gaps
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import Transfer, TransferCurve, encoded_from_linear
-from vntoolkit.pipeline.options import sensor_from_values
 from vntoolkit.pipeline.outputs import ReconstructionFolder
-from vntoolkit.pipeline.tracked_folder import read_tracks, uv_in_picture
+
+if TYPE_CHECKING:
+    from vntoolkit.io.footage.captures import Capture
 
 logger = logging.getLogger(__name__)
 Map = TypeVar("Map", NormalMap, DepthMap, ByteArray)
@@ -167,6 +165,8 @@ class OpenedResult:
     @cached_property
     def track(self) -> TrackedSurface | None:
         """The registered moving mesh; None without one, or where it follows another reconstruction."""
+        from vntoolkit.pipeline.tracked_folder import read_tracks, uv_in_picture
+
         root = self.folder.root / "track"
         if not (root / "track.json").exists():
             return None
@@ -189,6 +189,8 @@ class OpenedResult:
 
     def linear(self, number: int) -> LinearFrame:
         """Return the captured frame in linear light, background removed and undistorted."""
+        from vntoolkit.io.footage.decoding import linear_frame_from_encoded, resampler_of
+
         capture = self.capture
         encoded = capture.encoded(number)
         frame = linear_frame_from_encoded(encoded, self.rig.transfer, capture.background)
@@ -214,8 +216,12 @@ class OpenedResult:
         return str(next(found, stated))
 
     @cached_property
-    def capture(self) -> Capture:
+    def capture(self) -> "Capture":
         """The footage; raise `BadInput` where it is not to be found, or is of another size or length."""
+        from vntoolkit.io.footage.captures import CaptureOptions, open_capture
+        from vntoolkit.options.footage import Gaps
+        from vntoolkit.pipeline.options import sensor_from_values
+
         source = self.source
         options = CaptureOptions(
             transfer=self.rig.transfer,

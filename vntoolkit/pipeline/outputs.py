@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from vntoolkit.arrays import VisibilityLabels
+from vntoolkit.arrays import MaterialLabels, VisibilityLabels
 from vntoolkit.geometry.maps import DepthMap, NormalMap
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.io.maps_and_meshes.label_images import write_labels, write_mask, write_materials
@@ -15,7 +15,6 @@ from vntoolkit.io.maps_and_meshes.meshes import write_mesh
 from vntoolkit.io.results.manifest import FRAME_FILES
 
 if TYPE_CHECKING:
-    from vntoolkit.materials.mixtures import MaterialLabels
     from vntoolkit.shadows.lamp_directions import LampDirections
     from vntoolkit.tactile.contact import Contact
 

@@ -13,7 +13,6 @@ import numpy as np
 
 from vntoolkit.arrays import Mask
 from vntoolkit.diagnosis.finding import Finding, Level, judge
-from vntoolkit.diagnosis.inspection import Examination, examine_capture
 from vntoolkit.errors import BadCapture, BadInput
 from vntoolkit.io.results.manifest import Known, MaterialEntry
 from vntoolkit.photometry.frame import LinearFrame
@@ -23,6 +22,7 @@ from vntoolkit.pipeline.recorded_findings import entries_of
 from vntoolkit.pipeline.request import Footage, Request, seeks_materials
 
 if TYPE_CHECKING:
+    from vntoolkit.diagnosis.inspection import Examination
     from vntoolkit.materials.labelling import FrameStatistics
 
 logger = logging.getLogger(__name__)
@@ -49,17 +49,22 @@ def prepare(request: Request, footage: Footage, numbers: Sequence[int]) -> Known
         assert doubts_deg is not None
         found |= {"light_colours": colours.tolist(), "light_doubts_deg": doubts_deg.tolist()}
     materials: list[MaterialEntry] = []
-    seen = None
+    seen, seeks = None, seeks_materials(rig, options)
     if not request.is_of_gel:
+        from vntoolkit.pipeline.rig_material import measured_brightness
+
+        found["relative_albedo"], warn_of_other = measured_brightness(rig, options, footage, numbers)
+    if seeks:
         from vntoolkit.pipeline.measured_materials import measured_materials
 
-        measured = measured_materials(rig, options, footage, numbers, lamps_in_words)
+        measured = measured_materials(rig, options, footage, numbers)
         materials, seen = measured.entries, measured.seen
-        found |= {"relative_albedo": measured.relative_albedo}
-    if seeks_materials(rig, options):
-        if materials:
-            told = None if seen is None else seen.state.statistics
-            examined = _examined(request, rig, footage, numbers, materials, told)
+    if materials:
+        told = None if seen is None else seen.state.statistics
+        examined = _examined(request, rig, footage, numbers, materials, told)
+    elif not request.is_of_gel:
+        warn_of_other(lamps_in_words)
+    if seeks:
         _judge(request, examined)
     found |= {"blur_px": round(examined.blur_px, _DIGITS_OF_BLUR)}
     if rig.response.variation is None and not request.is_of_gel:
@@ -135,11 +140,13 @@ def _examined(
     numbers: Sequence[int],
     materials: Sequence[MaterialEntry] = (),
     told: "FrameStatistics | None" = None,
-) -> Examination:
+) -> "Examination":
     """Return what the footage tells of mistakes, with each of the materials taken for the rig's.
 
     told: of the first frame, as materials were measured on it.
     """
+    from vntoolkit.diagnosis.inspection import Examination, examine_capture
+
     calibrated = rig if request.calibrated is None else replace(rig, transfer=request.calibrated)
     try:
         mask, judged = footage.mattes.judged(footage.capture, numbers)
@@ -158,7 +165,7 @@ def _examined(
     return examined
 
 
-def _judge(request: Request, examined: Examination, *, fatal_alone: bool = False) -> None:
+def _judge(request: Request, examined: "Examination", *, fatal_alone: bool = False) -> None:
     """Log findings; raise `FatalFinding` for one that ruins normals.
 
     fatal_alone: what is less is judged once materials are known. No material excuses what is fatal.

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vntoolkit.diagnosis.empty_frames import finding_from_empty_frames
 from vntoolkit.diagnosis.finding import judge
-from vntoolkit.diagnosis.inspection import finding_from_empty_frames
 from vntoolkit.errors import BadCapture, BadInput
 from vntoolkit.io.atomic import remove_leftovers, require_apart, write_text
 from vntoolkit.io.footage.captures import CaptureInfo

@@ -13,16 +13,14 @@ from pathlib import Path
 import numpy as np
 from scipy import ndimage
 
-from vntoolkit.arrays import Colours, Faces, FloatArray, IntArray, Mask, Points, Points2
+from vntoolkit.arrays import Faces, FloatArray, IntArray, Mask, Points, Points2
 from vntoolkit.errors import VntError
 from vntoolkit.geometry.camera import Camera
-from vntoolkit.geometry.mesh import Mesh, MeshSequence, face_normals, vertex_normals
-from vntoolkit.io.atomic import require_writable_folder, write_bytes, write_text
+from vntoolkit.geometry.mesh import MeshSequence, face_normals, vertex_normals
+from vntoolkit.io.atomic import require_writable_folder, write_text
 from vntoolkit.io.footage.frame_range import sampled
-from vntoolkit.io.footage.images import read_image, write_png
-from vntoolkit.io.maps_and_meshes.glb import Texture
-from vntoolkit.io.maps_and_meshes.usd import TextureFiles
-from vntoolkit.materials.relighting import relit
+from vntoolkit.io.footage.images import write_png
+from vntoolkit.io.maps_and_meshes.texture import SurfaceTexture
 from vntoolkit.native import njit
 from vntoolkit.photometry.frame import count_lit
 from vntoolkit.photometry.response import scaled_normals_from_rgb
@@ -41,47 +39,6 @@ _MIXED_PX = 2  # at the outline, where lens and shutter mix the subject with wha
 _FEATHER = 9  # texels over which a frame's part fades in, so that no seam shows
 _BRIGHTEST = 0.995  # quantile of the colours: if it is above full scale, all are lowered
 _SRGB = Transfer(curve=TransferCurve.SRGB)
-
-
-@dataclass(frozen=True, kw_only=True)
-class SurfaceTexture:
-    """Files of a texture. albedo: sRGB, or None where the footage was not at hand. normal: tangent space."""
-
-    albedo: Path | None
-    normal: Path
-
-    def beside(self, path: Path) -> "SurfaceTexture":
-        """Copy the files beside another, as STEM_albedo.png and STEM_normal.png, and return the copies."""
-        copies = [
-            None if source is None else path.with_name(f"{path.stem}_{source.name}")
-            for source in (self.albedo, self.normal)
-        ]
-        for source, copy in zip((self.albedo, self.normal), copies, strict=True):
-            if source is not None and copy is not None:
-                write_bytes(copy, source.read_bytes())
-        assert copies[1] is not None
-        return SurfaceTexture(albedo=copies[0], normal=copies[1])
-
-    @property
-    def names(self) -> TextureFiles:
-        """Names of the files, for a USD beside them."""
-        return TextureFiles(albedo=None if self.albedo is None else self.albedo.name, normal=self.normal.name)
-
-    @property
-    def content(self) -> Texture:
-        """The files in memory, for a GLB."""
-        albedo = None if self.albedo is None else self.albedo.read_bytes()
-        return Texture(albedo=albedo, normal=self.normal.read_bytes())
-
-    def colours(self, mesh: Mesh) -> Colours | None:
-        """Return (n, 3), the colour of each vertex as the albedo has it; None without one."""
-        if self.albedo is None or mesh.uv is None:
-            return None
-        picture = read_image(self.albedo)
-        pixels = picture.astype(np.float32) / np.float32(np.iinfo(picture.dtype).max)
-        height, width = pixels.shape[:2]
-        places = np.column_stack([mesh.uv[:, 0] * width - 0.5, (1 - mesh.uv[:, 1]) * height - 0.5])
-        return sample_image(pixels, places).astype(np.float32)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,27 +81,6 @@ def write_texture(
         if albedo is not None:
             colour.add(albedo[:, :3], seen.weight * albedo[:, 3])
     return _write(target, texels, colour, relief, len(rows))
-
-
-def read_texture(track_folder: Path) -> SurfaceTexture | None:
-    """Return the files of the texture that `track` left; None where they are missing or older than it."""
-    folder, tracks = track_folder / "texture", track_folder / "vertices.npy"
-    albedo, normal = folder / "albedo.png", folder / "normal.png"
-    if not normal.exists() or normal.stat().st_mtime < tracks.stat().st_mtime:
-        return None
-    return SurfaceTexture(albedo=albedo if albedo.exists() else None, normal=normal)
-
-
-def texture_of_tracks(track_folder: Path) -> SurfaceTexture | None:
-    """Return the files of the texture, and say where there is none of the tracks that are there now."""
-    texture = read_texture(track_folder)
-    if texture is None and (track_folder / "track.json").exists():
-        _LOGGER.warning(
-            "%s: no texture of these tracks; run `vntoolkit track %s` again to make it",
-            track_folder,
-            track_folder.parent,
-        )
-    return texture
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -235,14 +171,17 @@ def texels_in_frame(
     subject = ndimage.binary_erosion(depth_map.mask & normal_map.mask, iterations=_MIXED_PX)
     is_seen = all_inside(subject, pixels) & (cosine > _LEAST_COSINE)
     is_seen &= np.isfinite(off) & (gap * cosine < AGREES_PX * pixel)
+    measured = unit_vectors(sample_image(normal_map.normals_in_camera, pixels))
+    in_tangents = np.stack([np.sum(a * measured, axis=1) for a in (along_u, along_v, outward)], axis=1)
+    # A normal below the surface is another surface's. glTF has no such normal, and renderers show it black.
+    is_seen &= in_tangents[:, 2] > 0
     faded = np.zeros(texels.shape, np.float32)
     faded.ravel()[texels.places] = is_seen
     faded = ndimage.uniform_filter(faded, _FEATHER).ravel()[texels.places]
-    measured = unit_vectors(sample_image(normal_map.normals_in_camera, pixels))
     return SeenTexels(
         pixels=pixels,
         weight=np.where(is_seen, faded * (cosine / off) ** 2, 0.0),
-        in_tangents=np.stack([np.sum(a * measured, axis=1) for a in (along_u, along_v, outward)], axis=1),
+        in_tangents=in_tangents,
     )
 
 
@@ -311,6 +250,8 @@ class _Colours:
             return None
         labels, lit = self._result.materials(number), self._result.labels(number)
         if labels is not None and len(self._reflectances):
+            from vntoolkit.materials.relighting import relit
+
             linear = relit(linear, self._response, labels, self._reflectances)
         length = np.linalg.norm(scaled_normals_from_rgb(linear.rgb, self._result.rig.response), axis=2)
         is_good = np.isfinite(length) & ~linear.clipped

@@ -3,31 +3,32 @@
 import logging
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from vntoolkit.arrays import Normals, Points, Points2, VisibilityLabels
+from vntoolkit.arrays import MaterialLabels, Normals, Points, Points2, VisibilityLabels
 from vntoolkit.checks import require_positive
 from vntoolkit.diagnosis.finding import judge
-from vntoolkit.diagnosis.over_time import findings_from_tracks
+from vntoolkit.diagnosis.track_checks import findings_from_tracks
 from vntoolkit.errors import BadInput, BadMesh, VntError
 from vntoolkit.geometry.maps import DepthMap, NormalMap
 from vntoolkit.geometry.mesh import MeshSequence
+from vntoolkit.io.atomic import atomic_path
+from vntoolkit.io.maps_and_meshes.arrays import read_npz
 from vntoolkit.io.results.folder import begin_run, read_lock, require_same_request, write_lock
 from vntoolkit.io.results.sequences import MeshSequenceWriter, read_mesh_sequence
-from vntoolkit.materials.mixtures import MaterialLabels
-from vntoolkit.materials.relighting import relit
-from vntoolkit.options.tracking import Tracker, TrackingOptions
+from vntoolkit.options.tracking import LOST_PX, Tracker, TrackingOptions
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.pipeline import tracked_folder
 from vntoolkit.pipeline.opened_result import OpenedResult, open_result
 from vntoolkit.pipeline.options import option_values
-from vntoolkit.pipeline.tracked_folder import TRACKS, TRACKS_VERSION
+from vntoolkit.pipeline.tracked_folder import MEMORY_NAME, TRACKS, TRACKS_VERSION
 from vntoolkit.tracking.paint import Paint, paint_of_frame
+from vntoolkit.tracking.running_template import RunningTemplate
 from vntoolkit.tracking.tracker import SurfaceTracker, tracked_frame
 
 _LOGGER = logging.getLogger(__name__)
@@ -51,7 +52,7 @@ class TrackJob:
     template: int | None = None
     seams: Sequence[Points2] = ()
     out: Path | None = None
-    lost_px: float = 4.0
+    lost_px: float = LOST_PX
     footage: str = ""
     background: Path | None = None
 
@@ -199,6 +200,8 @@ def paint_of_materials(
     """
     if materials is None or not len(reflectances):
         return paint_of_frame(linear, normals, response, labels)
+    from vntoolkit.materials.relighting import relit
+
     brightness = np.exp(np.log(reflectances).mean(axis=1)).astype(np.float32)
     alike = relit(linear, response.central, materials, reflectances)
     return brightness[materials] * paint_of_frame(alike, normals, response, labels)
@@ -277,17 +280,17 @@ def _follow(
             if tracker.running is not None:
                 kept = writer.frame_count, tracker.running
                 if writer.frame_count % _MEMORY_EVERY == 0:
-                    tracked_folder.write_running_template(writer.folder, *kept)
+                    write_running_template(writer.folder, *kept)
             on_frame()
     finally:
         if kept is not None:
-            tracked_folder.write_running_template(writer.folder, *kept)
+            write_running_template(writer.folder, *kept)
 
 
 def _truncate_to_memory(writer: MeshSequenceWriter, tracker: SurfaceTracker, lead: int) -> None:
     """Drop the frames after the one whose memory is on disk; lead: how many stay in any case."""
     if tracker.running is not None and writer.frame_count > lead:
-        count, _ = tracked_folder.read_running_template(writer.folder, tracker.running)
+        count, _ = read_running_template(writer.folder, tracker.running)
         writer.truncate(max(count if count <= writer.frame_count else 0, lead))
 
 
@@ -304,7 +307,7 @@ def _go_on(
         uncertainty = None if sequence.uncertainty_px is None else np.array(sequence.uncertainty_px[row + i])
         states.append(tracked_frame(np.array(sequence.vertices[row + i]), uncertainty, source.camera))
     kept = tracker.running
-    running = None if kept is None else tracked_folder.read_running_template(folder, kept)[1]
+    running = None if kept is None else read_running_template(folder, kept)[1]
     tracker.resume(states[-2], states[-1], source.normals(done[present[-1]]), running)
 
 
@@ -337,3 +340,29 @@ def _record(job: TrackJob, source: OpenedResult, template: int) -> dict[str, Any
         "camera": tracked_folder.camera_record(source.rig.camera),
         "frames": list(source.frames_to_track),
     }
+
+
+def write_running_template(folder: Path, frame_count: int, running: RunningTemplate) -> None:
+    """Write the running template after so many frames of the moving mesh in the folder."""
+    with atomic_path(folder / MEMORY_NAME) as path, path.open("wb") as stream:
+        np.savez(stream, frame_count=frame_count, **vars(running))
+
+
+def read_running_template(folder: Path, like: RunningTemplate) -> tuple[int, RunningTemplate]:
+    """Return what `write_running_template` wrote, and after how many frames.
+
+    like: of the same template. Where the folder holds none that is whole and of this template: 0, and that.
+    """
+    path = folder / MEMORY_NAME
+    if not path.exists():
+        return 0, like
+    try:
+        found = {name: read_npz(path, name) for name in vars(like)}
+        frame_count = int(read_npz(path, "frame_count"))
+        whole = all(
+            found[name].shape == array.shape and np.isfinite(found[name]).all()
+            for name, array in vars(like).items()
+        )
+    except (BadInput, TypeError):
+        return 0, like
+    return (frame_count, replace(like, **found)) if whole else (0, like)

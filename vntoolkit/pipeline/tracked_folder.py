@@ -2,7 +2,7 @@
 
 import logging
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -12,19 +12,16 @@ from scipy.spatial import cKDTree
 
 from vntoolkit.arrays import Colours, FloatArray, Points
 from vntoolkit.errors import BadInput
-from vntoolkit.evaluation.track_error import LOST_PX
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.mesh import Mesh, MeshSequence
-from vntoolkit.io.atomic import atomic_path
 from vntoolkit.io.files import parse_json, read_text
-from vntoolkit.io.maps_and_meshes.arrays import read_npz
 from vntoolkit.io.results.folder import FolderKind, flat, remove_if_empty
 from vntoolkit.io.results.sequences import SEQUENCE_FILES, read_mesh_sequence
 from vntoolkit.io.rigs import camera_from_content, entry_from_camera
-from vntoolkit.tracking.running_template import RunningTemplate
+from vntoolkit.options.tracking import LOST_PX
 
 _RECORD = "track.json"
-_MEMORY_NAME = "remembered.npz"  # of the last frame, for a run that goes on
+MEMORY_NAME = "remembered.npz"  # of the last frame, for a run that goes on
 TRACKS_VERSION = 1
 _LOGGER = logging.getLogger(__name__)
 _IN_WORDS = {"result_sha256": "normals and depth", "frame_rate_hz": "frame rate"}  # of track.json
@@ -112,7 +109,7 @@ def _request(record: Mapping[str, Any]) -> dict[str, Any]:
 
 # Folder of what is tracked from the template back, until it is in place.
 _BACKWARDS = "backwards"
-_MOVING = (*SEQUENCE_FILES, _MEMORY_NAME)
+_MOVING = (*SEQUENCE_FILES, MEMORY_NAME)
 TRACKS = FolderKind(
     verb="track",
     holds="tracks",
@@ -135,32 +132,6 @@ def remove_backwards(folder: Path) -> None:
     for name in _MOVING:
         (folder / _BACKWARDS / name).unlink(missing_ok=True)
     remove_if_empty(folder / _BACKWARDS)
-
-
-def write_running_template(folder: Path, frame_count: int, running: RunningTemplate) -> None:
-    """Write the running template after so many frames of the moving mesh in the folder."""
-    with atomic_path(folder / _MEMORY_NAME) as path, path.open("wb") as stream:
-        np.savez(stream, frame_count=frame_count, **vars(running))
-
-
-def read_running_template(folder: Path, like: RunningTemplate) -> tuple[int, RunningTemplate]:
-    """Return what `write_running_template` wrote, and after how many frames.
-
-    like: of the same template. Where the folder holds none that is whole and of this template: 0, and that.
-    """
-    path = folder / _MEMORY_NAME
-    if not path.exists():
-        return 0, like
-    try:
-        found = {name: read_npz(path, name) for name in vars(like)}
-        frame_count = int(read_npz(path, "frame_count"))
-        whole = all(
-            found[name].shape == array.shape and np.isfinite(found[name]).all()
-            for name, array in vars(like).items()
-        )
-    except (BadInput, TypeError):
-        return 0, like
-    return (frame_count, replace(like, **found)) if whole else (0, like)
 
 
 def colours_at(vertices: Points, coloured: Mesh) -> Colours:

@@ -17,7 +17,7 @@ from vntoolkit.geometry.motion import bone_segments, pose_of_frame
 from vntoolkit.io.footage.video import write_video
 from vntoolkit.pipeline.dress import DressedFigure, floor_height
 from vntoolkit.report.pictures import write_tiles
-from vntoolkit.skinning.findings import STRETCHED
+from vntoolkit.skinning.findings import STRETCHED, is_outside
 
 BACKGROUND = (0.93, 0.94, 0.96)
 PLAIN = (0.66, 0.65, 0.62)  # of a mesh without colours
@@ -182,7 +182,7 @@ class _Stage:
         stretched = self._meter.stretch(vertices) > STRETCHED
         colours[np.unique(dressed.template.faces[stretched])] = _RED
         cloth = Mesh(vertices=vertices, faces=dressed.template.faces, colours=colours)
-        outside = self._meter.off_axis(vertices, pose).max(axis=1) > 1
+        outside = is_outside(self._meter.off_axis(vertices, pose).max(axis=1))
         out = [
             joint
             for one, is_out in zip(dressed.fitting.sleeved, outside, strict=True)

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vntoolkit.arrays import FloatArray
-from vntoolkit.diagnosis.inspection import findings_from_header
 from vntoolkit.errors import VntError
 from vntoolkit.geometry.camera import Camera, CameraModel
 from vntoolkit.io.footage.frame_range import sampled
@@ -68,6 +67,8 @@ def write_report(
 
 def warnings_section(result: OpenedResult) -> page.PageSection:
     """Return what was found wrong, the gravest first, and what the footage's header says."""
+    from vntoolkit.diagnosis.header_checks import findings_from_header
+
     notices = [page.PageNotice(severity=each.level, text=each.line) for each in result.findings]
     try:
         stated = findings_from_header(result.capture)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vntoolkit.arrays import FloatArray, IntArray, Points
+from vntoolkit.arrays import BoolArray, FloatArray, IntArray, Points
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.motion import Skeleton
 from vntoolkit.skinning.alignment import SleevedArm
@@ -44,8 +44,8 @@ class DressingFindings:
             off = self.off_axis[:, arm]
             frame, place = np.unravel_index(int(off.argmax()), off.shape)
             where = ("elbow", "forearm", "wrist")[place]
-            most = round(float(off.max()), 1)  # as it is printed: 1.0 is inside
-            word = "outside" if most > 1 else "inside"
+            most = float(off.max())
+            word = "outside" if is_outside(most) else "inside"
             parts.append(
                 f"{_SIDES[side]} arm {word} its sleeve ({where} at most {most:.1f} radii off its axis, "
                 f"frame {frame})"
@@ -58,6 +58,11 @@ class DressingFindings:
             f"(at most {100 * self.stretched[worst]:.2f} %, frame {worst})"
         )
         return "; ".join(parts)
+
+
+def is_outside(off_axis: FloatArray | float) -> BoolArray:
+    """True where an arm is outside its sleeve by the tenth of a radius that is printed: 1.0 is inside."""
+    return np.asarray(np.round(off_axis, 1) > 1)
 
 
 class DressingMeter:

@@ -128,12 +128,7 @@ def test_packed_samples_reach_full_scale(tmp_path, bits):
     assert frame.clipped.tolist() == (samples == full).any(axis=2).tolist()
 
 
-def test_tiff_that_would_be_misread_is_refused(tmp_path, rng):
-    for dtype in (np.uint8, np.uint16):
-        apart = rng.integers(0, 255, (3, 20, 30)).astype(dtype)
-        tifffile.imwrite(tmp_path / "a.tif", apart, photometric="rgb", planarconfig="separate")
-        with pytest.raises(BadCapture, match=r"a\.tif: is stored as channels apart \(planar\), expected"):
-            read_image(tmp_path / "a.tif")
+def test_tiff_that_would_be_misread_is_refused(tmp_path):
     grey_and_alpha = np.full((20, 30, 2), 65535, np.uint16)
     tifffile.imwrite(tmp_path / "a.tif", grey_and_alpha, photometric="minisblack", planarconfig="contig")
     with pytest.raises(BadCapture, match=r"16-bit samples would be read as 8 bits; save"):

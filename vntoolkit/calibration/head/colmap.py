@@ -161,7 +161,10 @@ def camera_for_colmap(camera: Camera) -> Any:
         model, focal = "SIMPLE_PINHOLE", [k[0, 0]]
     parameters = [*focal, *colmap_from_pixels(k[:2, 2])]
     if camera.model is CameraModel.OPENCV:
-        parameters += list(camera.distortion)
+        lens = camera.distortion
+        if len(lens) > 4:
+            model, lens = "FULL_OPENCV", np.pad(lens, (0, 8 - len(lens)))
+        parameters += list(lens)
     return pycolmap.Camera(
         camera_id=_CAMERA_ID,
         model=model,

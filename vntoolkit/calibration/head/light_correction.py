@@ -10,10 +10,10 @@ from scipy.linalg import null_space
 
 from vntoolkit.arrays import FloatArray, IntArray, Points
 from vntoolkit.calibration.head.positions import PositionSolver, areas
+from vntoolkit.calibration.head.samples import SkinColours
 from vntoolkit.calibration.head.skin import (
     LEAST_RESIDUAL,
     RIDGE,
-    SkinColours,
     SkinLight,
     SkinNormals,
     parts_of,

@@ -5,9 +5,6 @@ Normals know the relief but not the place: their errors add up with distance. Si
 where the surface turns away from a viewer. The positions sought agree with all three, each as far as its own
 error allows. A vertex moves along its normal, by d. Every edge should be at right angles to its mean normal,
 and d should be small, or what a contour tells: linear in d.
-
-An error of M, the same in all frames, bends the shape in patterns that are known. M is corrected until the
-frames agree on every normal and the normals, integrated, agree with the positions of stereo.
 """
 
 from collections.abc import Callable, Iterable
@@ -22,7 +19,7 @@ from vntoolkit.calibration.head.light import HeadLight, light_of_response
 from vntoolkit.calibration.head.light_correction import corrected_light
 from vntoolkit.calibration.head.positions import LEAST_NOISE, UNKNOWN_NOISE, PositionSolver, areas
 from vntoolkit.calibration.head.rims import rim_targets
-from vntoolkit.calibration.head.samples import HeadSamples, LightFrame
+from vntoolkit.calibration.head.samples import HeadSamples, LightFrame, SkinColours, skin_colours
 from vntoolkit.calibration.head.shape_noise import (
     LEAST_SEEN,
     PATCH_PX,
@@ -90,7 +87,7 @@ def refine_head(
     changes: list[float] = []
     for number in range(_ROUNDS):
         if number < _PASSES or seen is None:
-            seen = skins.skin_colours(surface, camera, frames())
+            seen = skin_colours(surface, camera, frames())
         colours = skins.without_shadow(seen, surface, lit.response)
         skin = skins.skin_normals(colours, lit)
         before = lit.response
@@ -124,12 +121,12 @@ def _refined_finely(
     levels: NoiseLevels,
     crossover: float,
     pixel: float,
-) -> tuple[Mesh, skins.SkinColours, skins.SkinNormals]:
+) -> tuple[Mesh, SkinColours, skins.SkinNormals]:
     """Solve a mesh of two edges a pixel and a half, with contours; return it, its colours and normals."""
     stereo = divided(shape, _EDGE_PX * pixel)
     nearest = RayScene((surface.vertices, surface.faces)).closest(stereo.vertices)
     placed = stereo.with_vertices(nearest)  # stereo's ripples would mix the colours of what lies around
-    colours = skins.without_shadow(skins.skin_colours(placed, camera, frames()), placed, lit.response)
+    colours = skins.without_shadow(skin_colours(placed, camera, frames()), placed, lit.response)
     skin = skins.skin_normals(colours, lit)
     solver = PositionSolver(
         stereo.vertices,
@@ -166,7 +163,7 @@ def _relative_change(first: LightResponse, second: LightResponse) -> float:
 
 
 def patch_samples(
-    mesh: Mesh, camera: Camera, colours: skins.SkinColours, skin: skins.SkinNormals, side: float
+    mesh: Mesh, camera: Camera, colours: SkinColours, skin: skins.SkinNormals, side: float
 ) -> HeadSamples:
     """Average normals and colours, less albedo, over patches of skin, as samples for the fit of M.
 

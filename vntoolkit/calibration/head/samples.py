@@ -1,6 +1,6 @@
 """Pairs of normal and colour from a head whose shape and motion are known."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import cv2
@@ -15,9 +15,10 @@ from vntoolkit.geometry.rigid import RigidTransform
 from vntoolkit.options.head import SampleOptions
 from vntoolkit.photometry.frame import LinearFrame
 
+_FEWEST_SAMPLES = 300
 _OFF_SURFACE = 0.004  # of the diagonal: rays start so far out, beyond the mesh's own roughness
-RIM_PX = 4  # closer to the silhouette's edge, colours are not trusted
-LEAST_FACING = 0.35  # cosine to the viewer below which colour and normal no longer belong together
+_RIM_PX = 4  # closer to the silhouette's edge, colours are not trusted
+_LEAST_FACING = 0.35  # cosine to the viewer below which colour and normal no longer belong together
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -62,44 +63,98 @@ class HeadRays:
         return ~self._scene.blocked(self._starts[vertex], directions=directions_in_head)
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SkinColours:
+    """Colours of the vertices of a mesh in frames. rgb: (f, n, 3) float32. weight: (f, n) float32.
+
+    weight: cosine to the viewer, 0 where a frame does not show the vertex unclipped. vertices: (n, 3), head
+    frame. camera_from_head: of every frame.
+    """
+
+    rgb: Float32Array
+    weight: Float32Array
+    vertices: Points
+    camera_from_head: tuple[RigidTransform, ...]
+
+    @property
+    def rotations(self) -> FloatArray:
+        """(f, 3, 3)."""
+        return np.stack([pose.rotation for pose in self.camera_from_head])
+
+    @property
+    def offsets(self) -> FloatArray:
+        """(f, 3): where the head frame's origin is in each camera frame, from its mean place."""
+        places = np.stack([pose.translation for pose in self.camera_from_head])
+        middle = self.rotations @ self.vertices.mean(axis=0) + places
+        return np.asarray(places - middle.mean(axis=0))
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "rgb", read_only(self.rgb))
+        object.__setattr__(self, "weight", read_only(self.weight))
+
+
+def skin_colours(mesh: Mesh, camera: Camera, frames: Iterable[LightFrame]) -> SkinColours:
+    """Take the colours of the vertices of a mesh (head frame, with normals) in every frame."""
+    assert mesh.normals is not None
+    rays = HeadRays(mesh)
+    rgb, weight, poses = [], [], []
+    for each in frames:
+        pose = each.camera_from_head
+        position = pose.apply(mesh.vertices)
+        towards = -position / np.linalg.norm(position, axis=1, keepdims=True)
+        facing = (pose.rotate(mesh.normals) * towards).sum(axis=1)
+        pixel = camera.project(position).astype(np.float32)
+        trusted = sampled(_trusted(each).astype(np.float32), pixel)
+        seen = np.flatnonzero((facing > _LEAST_FACING) & (trusted > 0.99))
+        seen = seen[rays.free(seen, pose.inverse().rotate(towards[seen]))]
+        shown = np.zeros(len(pixel), np.float32)
+        shown[seen] = facing[seen]
+        rgb.append(sampled(each.frame.rgb, pixel))
+        weight.append(shown)
+        poses.append(pose)
+    return SkinColours(
+        rgb=np.stack(rgb), weight=np.stack(weight), vertices=mesh.vertices, camera_from_head=tuple(poses)
+    )
+
+
+def _trusted(each: LightFrame) -> Mask:
+    """True well inside the silhouette, where no pixel is clipped."""
+    kernel = np.ones((2 * _RIM_PX + 1, 2 * _RIM_PX + 1), np.uint8)
+    inner = np.asarray(cv2.erode(each.mask.astype(np.uint8), kernel)) > 0
+    clipped = np.asarray(cv2.dilate(each.frame.clipped.astype(np.uint8), np.ones((3, 3), np.uint8))) > 0
+    return inner & ~clipped
+
+
 def sample_head(
     mesh: Mesh,
     camera: Camera,
-    frames: Sequence[LightFrame],
+    frames: Iterable[LightFrame],
     options: SampleOptions,
     rng: np.random.Generator,
 ) -> HeadSamples:
-    """Take the colours of points of the mesh (head frame) in every frame that sees them.
+    """Take the colours of points of the mesh (head frame, with normals) in every frame that sees them.
 
     Raises `BadCalibration` where almost no point is seen unclipped.
     """
-    rays = HeadRays(mesh)
-    normals = vertex_normals(mesh.vertices, mesh.faces)
-    chosen = spread_over_orientations(normals, options.light_points, rng)
-    parts = []
-    for number, each in enumerate(frames):
-        pose = each.camera_from_head
-        position = pose.apply(mesh.vertices[chosen])
-        towards = -position / np.linalg.norm(position, axis=1, keepdims=True)
-        normal = pose.rotate(normals[chosen])
-        pixel = camera.project(position)
-        seen = ((normal * towards).sum(axis=1) > LEAST_FACING) & _within(each, pixel)
-        seen[seen] = rays.free(chosen[seen], pose.inverse().rotate(towards[seen]))
-        colours = _colours_at(each.frame, pixel[seen])
-        parts.append((chosen[seen], np.full(seen.sum(), number), normal[seen], colours, pixel[seen]))
-    point, frame, normal, rgb, pixel = (np.concatenate(column) for column in zip(*parts, strict=True))
-    if len(point) < 300:
+    assert mesh.normals is not None
+    chosen = spread_over_orientations(mesh.normals, options.light_points, rng)
+    colours = skin_colours(mesh, camera, frames)
+    frame, place = np.nonzero(colours.weight[:, chosen])
+    if len(frame) < _FEWEST_SAMPLES:
         raise BadCalibration(
-            f"light: only {len(point)} unclipped samples of skin; expose so that the skin is bright but not "
+            f"light: only {len(frame)} unclipped samples of skin; expose so that the skin is bright but not "
             "white, and fill more of the picture"
         )
+    point, poses = chosen[place], colours.camera_from_head
+    turned = np.stack([pose.rotate(mesh.normals[chosen]) for pose in poses])
+    pixel = np.stack([camera.project(pose.apply(mesh.vertices[chosen])) for pose in poses])
     return HeadSamples(
         point=point,
         frame=frame,
-        normals_in_camera=normal,
-        rgb=rgb,
-        position_px=pixel,
-        camera_from_head=tuple(each.camera_from_head for each in frames),
+        normals_in_camera=turned[frame, place],
+        rgb=colours.rgb[frame, point].astype(np.float64),
+        position_px=pixel[frame, place],
+        camera_from_head=poses,
     )
 
 
@@ -113,28 +168,6 @@ def spread_over_orientations(normals: Points, count: int, rng: np.random.Generat
     rank = np.empty(len(cell), dtype=np.int64)
     rank[by_cell] = np.arange(len(cell)) - first[cell[by_cell]]
     return np.sort(order[np.argsort(rank, kind="stable")[:count]])
-
-
-def _within(each: LightFrame, pixel: FloatArray) -> BoolArray:
-    """True where a pixel lies well inside the silhouette and is not clipped."""
-    usable = (each.mask & ~each.frame.clipped).astype(np.uint8)
-    kernel = np.ones((2 * RIM_PX + 1, 2 * RIM_PX + 1), np.uint8)
-    inner = np.asarray(cv2.erode(each.mask.astype(np.uint8), kernel)) > 0
-    inner &= np.asarray(cv2.erode(usable, np.ones((3, 3), np.uint8))) > 0
-    column, row = np.round(pixel).astype(int).T
-    inside = (row > 0) & (row < inner.shape[0] - 1) & (column > 0) & (column < inner.shape[1] - 1)
-    inside[inside] = inner[row[inside], column[inside]]
-    return np.asarray(inside)
-
-
-def _colours_at(frame: LinearFrame, pixel: FloatArray) -> FloatArray:
-    """Return the mean colour (n, 3) about each pixel, over three by three."""
-    column, row = np.round(pixel).astype(int).T
-    total = np.zeros((len(pixel), 3))
-    for down in (-1, 0, 1):
-        for right in (-1, 0, 1):
-            total += frame.rgb[row + down, column + right]
-    return total / 9.0
 
 
 _ROW = 1024  # OpenCV resamples images, no lists: points are laid out in rows

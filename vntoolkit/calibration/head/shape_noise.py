@@ -13,7 +13,6 @@ PATCH_PX = 16.0  # side: larger than the windows of stereo blur, smaller than a 
 SHARED_NOISE = 0.03  # rad, of all normals: what errors of M and of poses left on a scanned head
 LEAST_SEEN = 0.5  # of a patch's area, in a frame
 _MEDIAN_OF_ONE, _MEDIAN_OF_TWO = 0.455, 0.693  # of χ² with so many components, over its mean
-_TINY = 1e-30
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -24,7 +24,8 @@ _ESTIMATE_PX, _GUIDE_PX = 2.0, 1.5  # from the epipolar line: while it is sought
 _PEAK = 0.003  # weakest contrast of a feature, 0 to 1: skin has little
 _MOST_FEATURES = 3000  # of a frame
 _RATIO = 0.8  # of the distance to the best match over that to the second best, at most; COLMAP's
-_LEAST_MATCHES = 20  # of a pair of frames that agree on one epipolar geometry
+_LEAST_MATCHES = 20  # of a pair of frames that agree on one epipolar geometry,
+_LEAST_AGREEING = 0.4  # and their share of all matches
 Features = tuple[Points2, FloatArray]  # positions (n, 2) and unit descriptors (n, 128)
 
 
@@ -139,13 +140,10 @@ def _extractor() -> Any:
     return pycolmap.FeatureExtractor.create(extraction, pycolmap.Device.cpu)
 
 
-_NEVER = 9.0
-
-
 def match_two_views(camera: Any, first: Features, second: Features) -> IntArray:
     """Match, find the epipolar geometry by RANSAC, match again along its lines; (m, 2) numbers of features.
 
-    camera: pycolmap's. None where too few agree.
+    camera: pycolmap's. None where too few agree: chance finds such pairs, too.
     """
     import pycolmap
 
@@ -165,10 +163,11 @@ def match_two_views(camera: Any, first: Features, second: Features) -> IntArray:
     found = pycolmap.estimate_calibrated_two_view_geometry(
         camera, a, camera, b, matches.astype(np.uint32), options
     )
-    if found.F is None:
+    agreeing = len(found.inlier_matches)
+    if found.F is None or agreeing < max(_LEAST_MATCHES, _LEAST_AGREEING * len(matches)):
         return none
     off = _distance_to_lines(np.asarray(found.F), a, b)
-    return _mutual(np.where(off < _GUIDE_PX, angles, _NEVER))
+    return _mutual(np.where(off < _GUIDE_PX, angles, np.inf))
 
 
 _LARGEST_ANGLE = 0.7  # between descriptors of one point, radians; COLMAP's

@@ -5,18 +5,15 @@ head's rotation into the camera frame, b the normal times the albedo, and M_f is
 frame, as lamps are near. Robust least squares over all frames leaves out shadow and gloss.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
-import cv2
 import numpy as np
 
-from vntoolkit.arrays import BoolArray, Float32Array, FloatArray, IntArray, Mask, Points, read_only
+from vntoolkit.arrays import BoolArray, Float32Array, FloatArray, IntArray, Points
 from vntoolkit.calibration.head.light import LEAST_COSINE
-from vntoolkit.calibration.head.samples import LEAST_FACING, RIM_PX, HeadRays, LightFrame, sampled
-from vntoolkit.geometry.camera import Camera
+from vntoolkit.calibration.head.samples import HeadRays, SkinColours
 from vntoolkit.geometry.mesh import Mesh
-from vntoolkit.geometry.rigid import RigidTransform
 from vntoolkit.photometry.response import LightResponse
 
 _ROUNDS = 8  # of robust least squares
@@ -25,68 +22,6 @@ RIDGE = 1e-6  # of the system's trace: it can be solved where all frames show on
 LEAST_RESIDUAL = 0.004  # of the colour's length: below it registration decides, not the sensor
 _INLIER_WEIGHT = 0.25  # of its first weight: with less left, a colour is an outlier
 _VERTICES = 10_000  # solved at a time
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class SkinColours:
-    """Colours of the vertices of a mesh in frames. rgb: (f, n, 3) float32. weight: (f, n) float32.
-
-    weight: cosine to the viewer, 0 where a frame does not show the vertex unclipped. vertices: (n, 3), head
-    frame. camera_from_head: of every frame.
-    """
-
-    rgb: Float32Array
-    weight: Float32Array
-    vertices: Points
-    camera_from_head: tuple[RigidTransform, ...]
-
-    @property
-    def rotations(self) -> FloatArray:
-        """(f, 3, 3)."""
-        return np.stack([pose.rotation for pose in self.camera_from_head])
-
-    @property
-    def offsets(self) -> FloatArray:
-        """(f, 3): where the head frame's origin is in each camera frame, from its mean place."""
-        places = np.stack([pose.translation for pose in self.camera_from_head])
-        middle = self.rotations @ self.vertices.mean(axis=0) + places
-        return np.asarray(places - middle.mean(axis=0))
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "rgb", read_only(self.rgb))
-        object.__setattr__(self, "weight", read_only(self.weight))
-
-
-def skin_colours(mesh: Mesh, camera: Camera, frames: Iterable[LightFrame]) -> SkinColours:
-    """Take the colours of the vertices of a mesh (head frame, with normals) in every frame."""
-    assert mesh.normals is not None
-    rays = HeadRays(mesh)
-    rgb, weight, poses = [], [], []
-    for each in frames:
-        pose = each.camera_from_head
-        position = pose.apply(mesh.vertices)
-        towards = -position / np.linalg.norm(position, axis=1, keepdims=True)
-        facing = (pose.rotate(mesh.normals) * towards).sum(axis=1)
-        pixel = camera.project(position).astype(np.float32)
-        trusted = sampled(_trusted(each).astype(np.float32), pixel)
-        seen = np.flatnonzero((facing > LEAST_FACING) & (trusted > 0.99))
-        seen = seen[rays.free(seen, pose.inverse().rotate(towards[seen]))]
-        shown = np.zeros(len(pixel), np.float32)
-        shown[seen] = facing[seen]
-        rgb.append(sampled(each.frame.rgb, pixel))
-        weight.append(shown)
-        poses.append(pose)
-    return SkinColours(
-        rgb=np.stack(rgb), weight=np.stack(weight), vertices=mesh.vertices, camera_from_head=tuple(poses)
-    )
-
-
-def _trusted(each: LightFrame) -> Mask:
-    """True well inside the silhouette, where no pixel is clipped."""
-    kernel = np.ones((2 * RIM_PX + 1, 2 * RIM_PX + 1), np.uint8)
-    inner = np.asarray(cv2.erode(each.mask.astype(np.uint8), kernel)) > 0
-    clipped = np.asarray(cv2.dilate(each.frame.clipped.astype(np.uint8), np.ones((3, 3), np.uint8))) > 0
-    return inner & ~clipped
 
 
 def without_shadow(colours: SkinColours, mesh: Mesh, response: LightResponse) -> SkinColours:

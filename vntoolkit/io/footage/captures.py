@@ -4,6 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,18 +12,18 @@ from vntoolkit.arrays import Array, LinearImage
 from vntoolkit.checks import require_positive, require_shape
 from vntoolkit.display import Displayed, Facts, Picture
 from vntoolkit.errors import BadCapture, BadInput
-from vntoolkit.io.footage.decoding import EncodedFrame, linear_frame_from_encoded
+from vntoolkit.io.footage.decoding import EncodedFrame, YuvConversion, linear_frame_from_encoded
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.footage.images import ImageHeader, read_opaque_image
-from vntoolkit.io.footage.luma_detail import LumaDetail
 from vntoolkit.io.footage.mosaics import is_raw, read_raw
-from vntoolkit.io.footage.pixel_formats import YuvConversion
 from vntoolkit.io.footage.sequence import CaptureFiles, CaptureKind, find_capture_files, text_of_names
-from vntoolkit.io.footage.video import Timing, VideoReader
 from vntoolkit.options.footage import Gaps, SensorOptions
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.transfer import Transfer
+
+if TYPE_CHECKING:
+    from vntoolkit.io.footage.video import VideoReader
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -106,7 +107,7 @@ class Capture(Displayed):
     """
 
     def __init__(
-        self, info: CaptureInfo, options: CaptureOptions, reader: VideoReader | None, name: str
+        self, info: CaptureInfo, options: CaptureOptions, reader: "VideoReader | None", name: str
     ) -> None:
         self.info = info
         self.options = options
@@ -241,17 +242,7 @@ def open_capture(source: Path | str, options: CaptureOptions | None = None) -> C
     options = options or CaptureOptions()
     found = find_capture_files(source)
     if found.kind is CaptureKind.VIDEO:
-        detail = None
-        if options.response is not None and options.transfer is not None:
-            detail = LumaDetail(options.response, options.transfer)
-        reader = VideoReader(
-            found.files[0],
-            max_megapixels=options.max_megapixels,
-            threads=options.threads,
-            takes_codes=options.transfer is not None and options.transfer.takes_codes,
-            sensor=options.sensor,
-            detail=detail,
-        )
+        reader = _video_reader(found.files[0], options)
         return Capture(_info_of_video(reader, options.frame_rate_hz), options, reader, str(source))
     if found.missing and options.gaps is Gaps.REFUSE:
         raise BadCapture(
@@ -262,7 +253,26 @@ def open_capture(source: Path | str, options: CaptureOptions | None = None) -> C
     return Capture(_info_of_images(found, options), options, None, str(source))
 
 
-def _info_of_video(reader: VideoReader, rate_hz: float | None) -> CaptureInfo:
+def _video_reader(path: Path, options: CaptureOptions) -> "VideoReader":
+    from vntoolkit.io.footage.luma_detail import LumaDetail
+    from vntoolkit.io.footage.video import VideoReader
+
+    detail = None
+    if options.response is not None and options.transfer is not None:
+        detail = LumaDetail(options.response, options.transfer)
+    return VideoReader(
+        path,
+        max_megapixels=options.max_megapixels,
+        threads=options.threads,
+        takes_codes=options.transfer is not None and options.transfer.takes_codes,
+        sensor=options.sensor,
+        detail=detail,
+    )
+
+
+def _info_of_video(reader: "VideoReader", rate_hz: float | None) -> CaptureInfo:
+    from vntoolkit.io.footage.video import Timing
+
     timing = reader.timing if rate_hz is None else Timing(rate_hz=rate_hz)
     return CaptureInfo(
         kind=CaptureKind.VIDEO,

@@ -7,6 +7,7 @@ import logging
 import math
 import os
 import struct
+import warnings
 import zlib
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -221,8 +222,8 @@ def decode_image(
 
 def _samples(data: bytes, header: "ImageHeader", path: Path | str, error: type[BadInput]) -> Array:
     """Return samples in OpenCV's order: 8 or 16 bits, whose full scale is all ones, or finite floats."""
-    if header.floating and header.bits == 16:  # which OpenCV does not decode
-        return _sound_samples(_halves_from_tiff(data, header, path, error), header, path, error)
+    if header.planar or (header.floating and header.bits == 16):
+        return _sound_samples(_decoded_by_tifffile(data, header, path, error), header, path, error)
     if header.mosaic_at:
         grey = struct.pack("<H" if data[:2] == b"II" else ">H", _BLACK_IS_ZERO)  # which OpenCV reads
         data = data[: header.mosaic_at] + grey + data[header.mosaic_at + 2 :]
@@ -233,26 +234,32 @@ def _samples(data: bytes, header: "ImageHeader", path: Path | str, error: type[B
             pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error:
         pixels = None
+    if pixels is None and header.tiled:  # of which OpenCV 5.0 reads few
+        pixels = _decoded_by_tifffile(data, header, path, error)
     if pixels is None:
         raise error(f"{path}: the {header.format} file is damaged or cut off")
     return _sound_samples(pixels, header, path, error)
 
 
-def _halves_from_tiff(
+def _decoded_by_tifffile(
     data: bytes, header: "ImageHeader", path: Path | str, error: type[BadInput]
-) -> Float32Array:
-    """Return the half floats of a TIFF, upright and in OpenCV's order, as OpenCV does for single ones."""
+) -> Array:
+    """Return half floats, or channels stored apart, as OpenCV does others: upright and in its order."""
     import tifffile
 
     try:
         with tifffile.TiffFile(io.BytesIO(data)) as tiff:
-            values = np.asarray(tiff.pages[0].asarray(), np.float32)
+            page: Any = tiff.pages[0]
+            values: Array = page.asarray()
     except (ValueError, KeyError, TypeError, RuntimeError, OSError, struct.error) as problem:
         raise error(
-            f"{path}: its half floats are damaged, or compressed in a way that is not read; save 32-bit "
-            "floats, or no compression"
+            f"{path}: its samples are damaged, or compressed in a way that is not read; save them without "
+            "compression"
         ) from problem
+    values = np.moveaxis(values, 0, -1) if header.planar else values
     values = header.stated.orientation.upright(values)
+    if values.dtype == np.float16:
+        values = values.astype(np.float32)
     if values.ndim == 3 and values.shape[2] >= 3:
         values[..., :3] = values[..., 2::-1].copy()
     return values
@@ -323,7 +330,8 @@ class ImageHeader:
 
     format: its name. width, height: as stored, pixels. channels: alpha included. bits: per sample. chroma:
     subsampling (JPEG, WebP). stated: what else it states. mosaic_at: byte of a TIFF that states a Bayer
-    mosaic, 0 for none. bayer: its pattern, None for none or one that is not stated.
+    mosaic, 0 for none. bayer: its pattern, None for none or one that is not stated. planar: the channels of a
+    TIFF are stored apart. tiled: its pixels are stored in tiles.
     """
 
     format: str
@@ -336,6 +344,8 @@ class ImageHeader:
     stated: Stated = field(default_factory=Stated)
     mosaic_at: int = 0
     bayer: Bayer | None = None
+    planar: bool = False
+    tiled: bool = False
 
 
 # Size and sample depth of an image from its first bytes, before any pixel is decoded.
@@ -412,7 +422,8 @@ def _stated_by(image: Any, codes: bytes) -> Stated:
     value, is_srgb, focal_mm = 1, "srgb" in said, 0.0
     # without this test, Pillow decodes the whole PNG to look for EXIF data behind the picture
     if "exif" in said:
-        with contextlib.suppress(struct.error, ValueError, KeyError, TypeError, SyntaxError, OSError):
+        unread = (struct.error, ValueError, KeyError, TypeError, SyntaxError, OSError)
+        with contextlib.suppress(*unread), warnings.catch_warnings(action="ignore"):
             exif = image.getexif()
             value = exif.get(_ORIENTATION, 1)
             more = exif.get_ifd(_EXIF_IFD)
@@ -478,6 +489,8 @@ def _tiff(stream: BinaryIO, name: str, error: type[BadInput]) -> ImageHeader:
                 bits=int(bits[0] if isinstance(bits, tuple) else bits),
                 floating=page.sampleformat == 3,
                 stated=_stated_by_tiff(tiff, page),
+                tiled=bool(page.is_tiled),
+                planar=page.samplesperpixel > 1 and page.planarconfig != 1,  # which OpenCV would interleave
                 mosaic_at=page.tags[_PHOTOMETRIC].valueoffset if page.photometric == _MOSAIC else 0,
                 bayer=_BAYER_BY_CODES.get(bytes(page.tags.valueof(_CFA_PATTERN, b""))),
             )
@@ -490,8 +503,6 @@ def _stated_by_tiff(tiff: Any, page: Any) -> Stated:
     stored, colours = int(tags.valueof(_PHOTOMETRIC, 1)), ""
     if stored not in _PHOTOMETRIC_READ:
         colours = _PHOTOMETRIC_NAMES.get(stored, f"photometric {stored}")
-    elif page.samplesperpixel > 1 and page.planarconfig != 1:  # OpenCV takes them as interleaved
-        colours = "channels apart (planar)"
     pages = itertools.islice(tiff.pages, _MOST_PAGES)
     profile = tags.valueof(_ICC_PROFILE)
     across, down = (tags.valueof(tag, (1, 1)) for tag in (_ACROSS, _DOWN))

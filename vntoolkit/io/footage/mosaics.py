@@ -135,6 +135,7 @@ def _fill_plateau(samples: UInt16Array | None, colours: ByteArray | None, satura
     """
     if samples is None or samples.ndim != 2 or colours is None:  # red, green and blue at each pixel
         return
+    samples[samples >= saturation] = _FULL  # LibRaw's product may round full scale down
     top = int(samples.max())
     if not 0.75 * saturation < top < saturation:
         return
@@ -142,7 +143,7 @@ def _fill_plateau(samples: UInt16Array | None, colours: ByteArray | None, satura
     below = (samples >= top - top // 64) & ~stop
     ends_in_all = all(stop[colours == colour].any() for colour in np.unique(colours)) and not stop.all()
     if np.count_nonzero(stop) > np.count_nonzero(below) and (below.any() or ends_in_all):
-        samples[stop] = saturation
+        samples[stop] = _FULL
 
 
 def rgb_from_mosaic(

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from vntoolkit.arrays import Array, Matrix3, UInt16Array, Vector3
+from vntoolkit.io.footage.decoding import YuvConversion
 from vntoolkit.io.footage.luma_detail import LumaDetail
 from vntoolkit.native import njit
 from vntoolkit.options.footage import Bayer
@@ -92,14 +93,6 @@ class PixelFormat:
     def is_planar_rgb(self) -> bool:
         """True for the formats whose planes are numpy arrays already, at their own depth."""
         return self.name.startswith("gbrp") and self.name.endswith("le")
-
-
-@dataclass(frozen=True, kw_only=True)
-class YuvConversion:
-    """What a stream states of its YUV matrix and range, and what is taken: both as text, empty for no YUV."""
-
-    stated: str = ""
-    taken: str = ""
 
 
 def yuv_conversion(context: Any, pixel_format: PixelFormat, *, hd: bool) -> YuvConversion:

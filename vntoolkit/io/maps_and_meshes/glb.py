@@ -7,7 +7,7 @@ target, so a long one belongs into USD.
 import json
 import struct
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +17,13 @@ from vntoolkit import __version__
 from vntoolkit.arrays import Array, Float32Array, FloatArray, Points, UInt16Array
 from vntoolkit.checks import require_finite, require_positive, require_shape
 from vntoolkit.errors import BadMesh, CannotWrite
+from vntoolkit.geometry.camera import ViewedFrom
 from vntoolkit.geometry.mesh import Mesh, require_times, vertex_normals
 from vntoolkit.geometry.motion import Motion
-from vntoolkit.geometry.skinned_clip import SkinnedClip, ViewedFrom
+from vntoolkit.geometry.skinned_clip import SkinnedClip
 from vntoolkit.io.atomic import atomic_path
 from vntoolkit.io.conventions import graphics_from_camera, motion_with_axes_turned
+from vntoolkit.io.maps_and_meshes.texture import SurfaceTexture
 
 MAX_BYTES = 512 * 2**20  # browsers and Blender hold the clip whole, and more than once
 _TYPES = {
@@ -89,17 +91,6 @@ class _Binary:
         return len(self.views) - 1
 
 
-@dataclass(frozen=True, kw_only=True)
-class Texture:
-    """Images on a surface's texture coordinates, as PNG files in memory, or None.
-
-    albedo: sRGB. normal: tangent space, x along u, y along v, z outwards.
-    """
-
-    albedo: bytes | None = None
-    normal: bytes | None = None
-
-
 def write_glb(
     path: Path | str,
     template: Mesh,
@@ -108,7 +99,7 @@ def write_glb(
     frame_rate_hz: float,
     times_s: FloatArray | None = None,
     camera: ViewedFrom | None = None,
-    texture: Texture | None = None,
+    texture: SurfaceTexture | None = None,
 ) -> int:
     """Write a moving surface of fixed topology, lengths in metres; return the number of frames.
 
@@ -134,7 +125,7 @@ def write_glb_skin(
     clip: SkinnedClip,
     *,
     camera: ViewedFrom | None = None,
-    texture: Texture | None = None,
+    texture: SurfaceTexture | None = None,
 ) -> int:
     """Write a skinned surface with its skeleton and animation; return the number of frames.
 
@@ -155,13 +146,14 @@ def write_glb_skin(
     return len(motion)
 
 
-def _of_moderate_size(clip: SkinnedClip, texture: Texture | None) -> SkinnedClip:
+def _of_moderate_size(clip: SkinnedClip, texture: SurfaceTexture | None) -> SkinnedClip:
     """Return the clip with eight joints a vertex, and as many blend shapes as the surface leaves room for."""
     clip, count = clip.with_influences(_INFLUENCES), len(clip.mesh.vertices)
     surface = 80 * count + 12 * len(clip.mesh.faces)  # bytes of a vertex with all attributes, of a triangle
     if texture is not None:
-        surface += len(texture.albedo or b"") + len(texture.normal or b"")
+        surface += texture.normal.stat().st_size
         if texture.albedo is not None:
+            surface += texture.albedo.stat().st_size
             clip = replace(clip, mesh=replace(clip.mesh, colours=None))
     return clip.with_shapes(max(0, (_SKIN_BYTES - surface) // (12 * max(count, 1))))
 
@@ -265,7 +257,7 @@ def _document(
     nodes: list[dict[str, Any]],
     roots: list[int],
     camera: ViewedFrom | None,
-    texture: Texture | None,
+    texture: SurfaceTexture | None,
     binary: _Binary,
 ) -> dict[str, Any]:
     """Return the file's description, but for its animations."""
@@ -301,17 +293,16 @@ def _document(
     return document
 
 
-def _images(texture: Texture, material: dict[str, Any], binary: _Binary) -> dict[str, Any]:
+def _images(texture: SurfaceTexture, material: dict[str, Any], binary: _Binary) -> dict[str, Any]:
     """Embed the textures, and let the material show them."""
     images = []
-    for content in (texture.albedo, texture.normal):
-        if content is not None:
-            images.append({"bufferView": binary.add_file(content), "mimeType": "image/png"})
+    for file in (texture.albedo, texture.normal):
+        if file is not None:
+            images.append({"bufferView": binary.add_file(file.read_bytes()), "mimeType": "image/png"})
     looks = dict(material["pbrMetallicRoughness"])
     if texture.albedo is not None:
         looks["baseColorTexture"] = {"index": 0}
-    if texture.normal is not None:
-        material["normalTexture"] = {"index": len(images) - 1}
+    material["normalTexture"] = {"index": len(images) - 1}
     material["pbrMetallicRoughness"] = looks
     return {
         "images": images,
@@ -325,7 +316,7 @@ def _content(
     frames: Iterable[Points],
     name: str,
     camera: ViewedFrom | None,
-    texture: Texture | None,
+    texture: SurfaceTexture | None,
 ) -> tuple[int, dict[str, Any], _Binary]:
     """Return the number of frames, and what describes and holds them, but for their times."""
     nothing = BadMesh(f"{name}: a GLB needs at least one frame and one triangle")

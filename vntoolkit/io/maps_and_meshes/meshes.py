@@ -125,9 +125,9 @@ def write_obj(
     if texture is not None:
         if mesh.uv is None:
             raise BadMesh(f"{path}: a texture needs texture coordinates (uv) in the mesh")
-        write_png(path.with_suffix(".png"), texture)
-        material = f"{path.stem}.mtl"
-        write_material(path.with_name(material), f"{path.stem}.png")
+        picture, material = path.with_suffix(".png"), f"{path.stem}.mtl"
+        write_png(picture, texture)
+        write_material(path.with_name(material), picture)
     if material is not None:
         lines += [f"mtllib {material}", "usemtl surface"]
     vertices = np.asarray(mesh.vertices, dtype=np.float64)
@@ -146,14 +146,14 @@ def write_obj(
     write_text(path, "\n".join(lines) + "\n")
 
 
-def write_material(path: Path | str, albedo: str | None, normal: str | None = None) -> None:
-    """Write the `.mtl` of a matte surface with its textures, names of images beside it.
+def write_material(path: Path | str, albedo: Path | None, normal: Path | None = None) -> None:
+    """Write the `.mtl` of a matte surface with its textures, images beside it.
 
     normal: in tangent space, as `norm`, and as `map_Bump`, which is what Blender reads.
     """
     lines = ["newmtl surface", "Ka 0 0 0", "Kd 1 1 1", "Ks 0 0 0", "illum 1"]
-    lines += [] if albedo is None else [f"map_Kd {albedo}"]
-    lines += [] if normal is None else [f"norm {normal}", f"map_Bump -bm 1 {normal}"]
+    lines += [] if albedo is None else [f"map_Kd {albedo.name}"]
+    lines += [] if normal is None else [f"norm {normal.name}", f"map_Bump -bm 1 {normal.name}"]
     write_text(path, "\n".join(lines) + "\n")
 
 

@@ -9,7 +9,7 @@ motion plays too slowly. `scripts/check_in_blender.py` shows what arrives there.
 import contextlib
 import re
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import count as count_up
 from pathlib import Path
 from typing import Any
@@ -19,11 +19,13 @@ import numpy as np
 from vntoolkit.arrays import Array, FloatArray, Points
 from vntoolkit.checks import require_finite, require_shape
 from vntoolkit.errors import BadInput, BadMesh, CannotWrite
+from vntoolkit.geometry.camera import ViewedFrom
 from vntoolkit.geometry.mesh import Mesh, require_times, vertex_normals
 from vntoolkit.geometry.motion import Motion, joint_paths, rest_pose
-from vntoolkit.geometry.skinned_clip import SkinnedClip, ViewedFrom
+from vntoolkit.geometry.skinned_clip import SkinnedClip
 from vntoolkit.io.atomic import atomic_path
 from vntoolkit.io.conventions import graphics_from_camera, motion_with_axes_turned
+from vntoolkit.io.maps_and_meshes.texture import SurfaceTexture
 from vntoolkit.native import require_address_space, require_installed
 from vntoolkit.options.export import MeshUpAxis
 
@@ -48,7 +50,7 @@ def write_usd_sequence(
     motion: Motion | None = None,
     up: MeshUpAxis = MeshUpAxis.Y,
     camera: ViewedFrom | None = None,
-    texture: "TextureFiles | None" = None,
+    texture: SurfaceTexture | None = None,
 ) -> int:
     """Write one surface of fixed topology, its vertices (n, 3) a time sample a frame; return the frames.
 
@@ -115,7 +117,7 @@ def write_usd_skin(
     clip: SkinnedClip,
     *,
     camera: ViewedFrom | None = None,
-    texture: "TextureFiles | None" = None,
+    texture: SurfaceTexture | None = None,
 ) -> int:
     """Write a surface bound to its moving skeleton as UsdSkel, lengths in metres; return the frames.
 
@@ -303,15 +305,7 @@ def vec3f_from_camera(vectors: Array, up: MeshUpAxis = MeshUpAxis.Y) -> Any:
     return Vt.Vec3fArray.FromNumpy(graphics_from_camera(np.asarray(vectors, dtype=np.float32), up))
 
 
-@dataclass(frozen=True, kw_only=True)
-class TextureFiles:
-    """Names of images beside the file, or None. albedo: sRGB. normal: tangent space, y along v."""
-
-    albedo: str | None = None
-    normal: str | None = None
-
-
-def add_material(stage: Any, surface: Any, mesh: Mesh, texture: TextureFiles | None) -> None:
+def add_material(stage: Any, surface: Any, mesh: Mesh, texture: SurfaceTexture | None) -> None:
     """Define a matte UsdPreviewSurface and bind the surface to it.
 
     Its colour is the texture's, else that of the primvar `displayColor`; without either there is none.
@@ -346,7 +340,7 @@ def add_material(stage: Any, surface: Any, mesh: Mesh, texture: TextureFiles | N
             if file is None:
                 continue
             image = node(name, "UsdUVTexture")
-            image.CreateInput("file", kinds.Asset).Set(Sdf.AssetPath(f"./{file}"))
+            image.CreateInput("file", kinds.Asset).Set(Sdf.AssetPath(f"./{file.name}"))
             image.CreateInput("sourceColorSpace", kinds.Token).Set(space)
             for wrap in ("wrapS", "wrapT"):
                 image.CreateInput(wrap, kinds.Token).Set("clamp")
