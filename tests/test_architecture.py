@@ -87,7 +87,7 @@ LINES = {
     "photometry": 1040,
     "pipeline": 7990,
     "report": 3120,
-    "shadows": 3140,
+    "shadows": 3080,
     "simulation": 3570,
     "skinning": 2130,
     "tactile": 1400,

@@ -1,6 +1,5 @@
 """Normals for every pixel of a frame with self-shadows (brostow2011, Section VI-B, and past it)."""
 
-from dataclasses import dataclass
 from typing import Any
 
 import cv2
@@ -11,7 +10,7 @@ from vntoolkit.arrays import FloatArray, Mask, VisibilityLabels, Weight
 from vntoolkit.checks import checks_kinds, require_mask, require_shape
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
-from vntoolkit.geometry.maps import DepthMap, NormalMap
+from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.geometry.slope_grid import FLATTEST_Z, STEEPEST, RayGrid, ray_at, ray_grid
 from vntoolkit.native import njit
 from vntoolkit.options.normals import RecoveryMethod
@@ -23,7 +22,6 @@ from vntoolkit.shadows.contributions import (
     CLIPPED_TRUST,
     LightContributions,
     Numbers,
-    Window,
     columns_between,
     contributions_from_frame,
     finite,
@@ -47,7 +45,6 @@ from vntoolkit.shadows.surface import (
     LabelledImage,
     Model,
     Surface,
-    depth_map_from_surface,
     local_quadratic,
     mixed,
     model_of,
@@ -66,32 +63,6 @@ _GRAZING = 0.6  # below it the normal solved with the depth stays
 _STEEP = 0.8  # from it on only the colour counts
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class RecoveredSurface:
-    """Normals with weights, and the surface that they were solved with (None where the method has none).
-
-    surface: of `window`, rows and columns of the image, on its working size. camera: of the window.
-    """
-
-    normal_map: NormalMap
-    surface: Surface | None
-    window: Window
-    camera: Camera | None
-
-    @property
-    def depth_map(self) -> DepthMap | None:
-        """The surface's depth (h, w), or None; computed when it is asked for."""
-        if self.surface is None:
-            return None
-        mask = self.normal_map.mask
-        inside = mask[self.window]
-        factor = shrinking(inside)
-        surface = self.surface if factor == 1 else self.surface.enlarged(inside.shape, factor)
-        part = depth_map_from_surface(surface, inside, self.camera)
-        depth = in_whole_image(part.depth, self.window, mask.shape)
-        return DepthMap(depth=depth, mask=mask, unit=part.unit)
-
-
 @checks_kinds
 def recover_normals(
     frame: LinearFrame,
@@ -108,20 +79,6 @@ def recover_normals(
     `ShadowDetector.surface` where the labels are that detector's, of the same frame, mask and response; then
     the frame is not split by light again.
     """
-    return recover_surface(frame, labels, response, mask, camera, method, start).normal_map
-
-
-@checks_kinds
-def recover_surface(
-    frame: LinearFrame,
-    labels: VisibilityLabels,
-    response: LightResponse,
-    mask: Mask | None = None,
-    camera: Camera | None = None,
-    method: RecoveryMethod = RecoveryMethod.SURFACE,
-    start: Surface | None = None,
-) -> RecoveredSurface:
-    """`recover_normals`, with the depth that the surface method solves for at the same time."""
     inside = np.ones(frame.shape, dtype=np.bool_) if mask is None else np.asarray(mask)
     require_mask(inside, frame.shape)
     require_shape(labels, frame.shape, "visibility labels")
@@ -131,16 +88,14 @@ def recover_surface(
     near = None if camera is None else camera.cropped(*window)
     part, label, here = frame_in_window(frame, window), np.array(labels[window]), np.array(inside[window])
     if method is RecoveryMethod.SURFACE:
-        normals, weight, surface = _with_surface(part, label, response, here, near, start)
+        normals, weight = _with_surface(part, label, response, here, near, start)
     else:
         normals, weight = _by_pixel(part, label, response, here, method)
-        surface = None
-    normal_map = NormalMap(
+    return NormalMap(
         normals_in_camera=in_whole_image(normals, window, frame.shape),
         mask=inside,
         weight=in_whole_image(weight, window, frame.shape),
     )
-    return RecoveredSurface(normal_map=normal_map, surface=surface, window=window, camera=near)
 
 
 def _with_surface(
@@ -150,8 +105,8 @@ def _with_surface(
     inside: Mask,
     camera: Camera | None,
     start: Surface | None,
-) -> tuple[FloatArray, Weight, Surface]:
-    """Return normals (h, w, 3), weights, and the surface on the working size."""
+) -> tuple[FloatArray, Weight]:
+    """Return normals (h, w, 3) and weights, solved together with the depth."""
     if start is not None and start.image is not None:
         image, factor = start.image, shrinking(inside)
     else:
@@ -169,7 +124,7 @@ def _with_surface(
         numbers_of(response.lights), ray_grid(camera), model_of(options, settled=True),
         np.float32(_HELD if factor > 1 else 0.0), solved, flat(normals), weight,
     )  # fmt: skip
-    return normals, weight, surface
+    return normals, weight
 
 
 def _shrunk(labels: VisibilityLabels, shape: tuple[int, ...]) -> VisibilityLabels:

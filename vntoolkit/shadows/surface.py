@@ -20,7 +20,6 @@ from numba import prange
 
 from vntoolkit.arrays import ByteArray, Float32Array, FloatArray, Mask, VisibilityLabels, Weight
 from vntoolkit.geometry.camera import Camera
-from vntoolkit.geometry.maps import DepthMap, LengthUnit
 from vntoolkit.geometry.slope_grid import (
     FLATTEST_Z,
     NO_STEP,
@@ -261,18 +260,6 @@ def model_of(options: SurfaceOptions, *, settled: bool) -> "Model":
         _MISSING_LIGHT_CUTOFF,
     )  # fmt: skip
     return Model(*(np.float32(value) for value in values))
-
-
-def depth_map_from_surface(surface: Surface, mask: Mask, camera: Camera | None = None) -> DepthMap:
-    """Return the surface's depth: pixels (mean 0) or, for a perspective camera, of free scale (mean 1)."""
-    perspective = camera is not None and camera.is_perspective
-    depth = np.where(mask, surface.depth, 0.0)
-    if mask.any():
-        depth = np.where(mask, depth - depth[mask].mean(), 0.0)
-        if camera is not None and camera.is_perspective:
-            depth = np.where(mask, np.exp(depth / camera.matrix[0, 0]), 0.0)
-            depth /= depth[mask].mean()
-    return DepthMap(depth=depth, mask=mask, unit=LengthUnit.FREE if perspective else LengthUnit.PIXEL)
 
 
 def _first_guess(normals: FloatArray, known: Mask, rays: RayGrid, start: Surface | None) -> tuple[Grid, Grid]:
