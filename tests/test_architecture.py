@@ -77,7 +77,7 @@ LINES = {
     "diagnosis": 4460,
     "evaluation": 1140,
     "geometry": 1800,
-    "integration": 1690,
+    "integration": 1700,
     "io": 8540,
     "live": 900,
     "materials": 2900,
@@ -104,7 +104,7 @@ CLOSURES = {
     "integrate": (84, 13_900),
     "dress": (91, 16_200),
     "simulate": (73, 11_800),
-    "doctor": (28, 3_900),
+    "doctor": (28, 3_920),
     "board": (28, 3_500),
     "schema": (23, 2_800),
 }
