@@ -5,7 +5,7 @@ from functools import partial
 from pathlib import Path
 from typing import ClassVar
 
-from vntoolkit.cli.output import ProgressBars, print_next
+from vntoolkit.cli.output import ProgressBars, print_next, say
 from vntoolkit.cli.verb import command, verb
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.options.base import File, Named, OptionalFile, Source, named
@@ -86,5 +86,5 @@ def integrate_command(asked: IntegrateArguments) -> None:
     """Print what was written."""
     folder = _integrated(asked)
     count = len(open_result(folder).frames)
-    print(f"{folder}: depth of {count} normal map{'' if count == 1 else 's'}")
+    say(f"{folder}: depth of {count} normal map{'' if count == 1 else 's'}")
     print_next("view", folder)

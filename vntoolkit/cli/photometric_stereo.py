@@ -61,7 +61,7 @@ def photometric_stereo(asked: PhotometricStereoArguments) -> NormalMap:
 def photometric_stereo_command(asked: PhotometricStereoArguments) -> None:
     """Print how much was solved, and how well."""
     found = _solved(asked)
-    print(f"{asked.out}: {int(found.mask.sum())} normals")
+    say(f"{asked.out}: {int(found.mask.sum())} normals")
     if found.error_deg is not None:
         print(f"expected error: {np.median(found.error_deg[found.mask]):.1f} degrees, the median")
     print_next("integrate", str(asked.out), "--out", "result")
