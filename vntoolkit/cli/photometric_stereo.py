@@ -7,7 +7,7 @@ from typing import ClassVar
 import numpy as np
 
 from vntoolkit.cli.given import curve_from_text
-from vntoolkit.cli.output import print_next, progress_bar
+from vntoolkit.cli.output import print_next, progress_bar, say
 from vntoolkit.cli.verb import command, verb
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.io.results.folder import write_lock
@@ -63,5 +63,5 @@ def photometric_stereo_command(asked: PhotometricStereoArguments) -> None:
     found = _solved(asked)
     say(f"{asked.out}: {int(found.mask.sum())} normals")
     if found.error_deg is not None:
-        print(f"expected error: {np.median(found.error_deg[found.mask]):.1f} degrees, the median")
+        say(f"expected error: {np.median(found.error_deg[found.mask]):.1f} degrees, the median")
     print_next("integrate", str(asked.out), "--out", "result")
