@@ -16,6 +16,7 @@ Samples of chroma that lie across the edge hold both sides in the same shares as
 over luma is the subject's.
 """
 
+import cv2
 import numpy as np
 
 from vntoolkit.arrays import Array, Float32Array, Matrix3, UInt16Array, Vector3
@@ -60,26 +61,58 @@ class LumaDetail:
         """
         luma, blue, red = (np.ascontiguousarray(plane) for plane in planes)
         steps = [-(-n // m) for n, m in zip(luma.shape, blue.shape, strict=True)]
-        coarse = np.empty((3, *blue.shape), np.float32)
-        _coarse_planes(luma, blue, red, *steps, coarse)
+        coarse = np.stack([_mean_of_blocks(luma, *steps), blue, red], dtype=np.float32, casting="unsafe")
         # the turns change slowly: a fourth of the samples tells them
-        fewer = np.empty((3, *(-(-n // 2) for n in blue.shape)), np.float32)
-        _halved(coarse, fewer)
+        fewer = np.stack([_mean_of_blocks(plane, 2, 2) for plane in coarse])
         turns = np.empty((_KINDS, *fewer.shape[1:]), np.float32)
         to_rgb, shift = matrix.astype(np.float32), offset.astype(np.float32)
         from_rgb = np.linalg.inv(matrix).astype(np.float32)
         faint = _FAINT * from_rgb[0].sum()
         dark = np.array([*(-from_rgb @ offset), faint], np.float32)  # the codes of black, and faint luma
-        _chroma_per_luma(
-            fewer, to_rgb, shift, from_rgb, self._light, self._slope, self._matrix, self._inverse,
-            self._ambient, turns,
-        )  # fmt: skip
+        turns[:-1] = self._chroma_per_luma(fewer, to_rgb, shift, from_rgb)
         _edges(fewer[0], dark[0], turns)
         rgb = np.empty((*luma.shape, 3), np.uint16)
         down, across = (_cubic_weights(step) for step in steps)
         full = np.float32(65535)
         _sharpened(luma, coarse, turns, down, across, dark, to_rgb * full, shift * full, rgb)
         return rgb
+
+    def _chroma_per_luma(
+        self, coarse: Float32Array, to_rgb: Matrix3, shift: Vector3, from_rgb: Matrix3
+    ) -> Float32Array:
+        """Return (6, h, w): how much Cb, then Cr, change per detail of Y and per filter of it, in codes."""
+        codes = np.clip(np.tensordot(to_rgb, coarse, 1) + shift[:, None, None], 0, 1)
+        place = (codes * np.float32(_CODES) + np.float32(0.5)).astype(np.intp)
+        x = np.tensordot(self._inverse, self._light[place] - self._ambient[:, None, None], 1)
+        squared = (x * x).sum(axis=0)
+        dark = squared < np.float32(_DARKEST**2)
+        along = x / np.where(dark, np.float32(1), squared)
+        # n = (p, q, -1) / √(1 + p² + q²), x = ρ n: the slope along a unit vector e of the picture turns x
+        # by ρ |n_z| (e - (n·e) n), and every code by its gradient over x times that
+        gradient = self._slope[place] * np.abs(x[2])
+        p, q = (
+            gradient * np.tensordot(self._matrix, unit[:, None, None] - along * x[k], 1)
+            for k, unit in enumerate(np.eye(3, dtype=np.float32)[:2])
+        )
+        to_p, to_q = np.tensordot(from_rgb, p, 1), np.tensordot(from_rgb, q, 1)  # of Y, Cb and Cr
+        span = from_rgb[0].sum()  # luma of RGB, 0 to 1, is the row of Y, freed of its span
+        g0, g1 = to_p[0] / span, to_q[0] / span
+        steepest = np.maximum(g0 * g0 + g1 * g1, np.float32(1e-12))
+        eps = np.float32(_NOISE_OVER_DETAIL) / steepest
+        # a, b and c of this file's docstring by least squares over φ, all directions being as likely
+        seen = 1 / 2 + eps
+        det = seen * seen / 2 - 1 / 16
+        on_level, on_wave = (seen / 4 - 1 / 16) / det, (seen / 4 - 1 / 8) / det
+        beside_wave = 1 / (1 + 2 * eps)
+        cosine, sine = (g0 * g0 - g1 * g1) / steepest, 2 * g0 * g1 / steepest  # of 2 γ
+        turns = []
+        for chroma_p, chroma_q in zip(to_p[1:], to_q[1:], strict=True):
+            on = (chroma_p * g0 + chroma_q * g1) / (steepest * span)
+            beside = (chroma_q * g0 - chroma_p * g1) / (steepest * span)
+            turns.append(on_level * on)
+            turns.append(on_wave * cosine * on - beside_wave * sine * beside)
+            turns.append(on_wave * sine * on + beside_wave * cosine * beside)
+        return np.where(dark, np.float32(0), np.stack(turns))
 
 
 def _cubic_weights(step: int) -> Float32Array:
@@ -90,116 +123,13 @@ def _cubic_weights(step: int) -> Float32Array:
     return np.where(distance < 1, near, np.where(distance < 2, far, 0.0)).astype(np.float32)
 
 
-@njit(cache=True, fastmath=True)
-def _coarse_planes(luma, blue, red, down, across, coarse):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """Fill (3, h, w): the mean of the luma over each sample of the chroma, and the chroma."""
-    height, width = luma.shape
-    total = np.empty(coarse.shape[2] * across, np.float32)
-    for v in range(coarse.shape[1]):
-        total[:] = np.float32(0)
-        last = min((v + 1) * down, height)
-        for row in range(v * down, last):
-            for u in range(width):
-                total[u] += np.float32(luma[row, u])
-        for u in range(width, len(total)):
-            total[u] = total[width - 1]
-        scale = np.float32(1) / np.float32((last - v * down) * across)
-        to = coarse[0, v]
-        if across == 2:
-            for u in range(len(to)):
-                to[u] = (total[2 * u] + total[2 * u + 1]) * scale
-        else:
-            for u in range(len(to)):
-                to[u] = total[across * u : across * (u + 1)].sum() * scale
-        for u in range(len(to)):
-            coarse[1, v, u] = np.float32(blue[v, u])
-            coarse[2, v, u] = np.float32(red[v, u])
-
-
-@njit(cache=True, fastmath=True)
-def _halved(coarse, fewer):  # type: ignore[no-untyped-def]  # pragma: no cover
-    _, height, width = coarse.shape
-    for k in range(3):
-        for v in range(fewer.shape[1]):
-            one, other = coarse[k, 2 * v], coarse[k, min(2 * v + 1, height - 1)]
-            for u in range(fewer.shape[2]):
-                after = min(2 * u + 1, width - 1)
-                fewer[k, v, u] = np.float32(0.25) * (one[2 * u] + one[after] + other[2 * u] + other[after])
-
-
-@njit(cache=True, fastmath=True)
-def _chroma_per_luma(  # type: ignore[no-untyped-def]  # pragma: no cover
-    coarse, to_rgb, shift, from_rgb, light, slope, matrix, inverse, ambient, turns
-):
-    """Fill (6, h, w): how much Cb, then Cr, change per detail of Y and per each of its filters, in codes."""
-    top = np.float32(len(light) - 1)
-    darkest = np.float32(_DARKEST)
-    noise, one, half = np.float32(_NOISE_OVER_DETAIL), np.float32(1), np.float32(0.5)
-    quarter, eighth, sixteenth = np.float32(0.25), np.float32(0.125), np.float32(0.0625)
-    # luma of RGB, 0 to 1: the row of Y, freed of its span
-    span = from_rgb[0, 0] + from_rgb[0, 1] + from_rgb[0, 2]
-    w0, w1, w2 = from_rgb[0, 0] / span, from_rgb[0, 1] / span, from_rgb[0, 2] / span
-    # copies, since what is written might lie where these are read
-    t00, t01, t02 = to_rgb[0, 0], to_rgb[0, 1], to_rgb[0, 2]
-    t10, t11, t12 = to_rgb[1, 0], to_rgb[1, 1], to_rgb[1, 2]
-    t20, t21, t22 = to_rgb[2, 0], to_rgb[2, 1], to_rgb[2, 2]
-    f10, f11, f12 = from_rgb[1, 0], from_rgb[1, 1], from_rgb[1, 2]
-    f20, f21, f22 = from_rgb[2, 0], from_rgb[2, 1], from_rgb[2, 2]
-    m00, m01, m02 = matrix[0, 0], matrix[0, 1], matrix[0, 2]
-    m10, m11, m12 = matrix[1, 0], matrix[1, 1], matrix[1, 2]
-    m20, m21, m22 = matrix[2, 0], matrix[2, 1], matrix[2, 2]
-    i00, i01, i02 = inverse[0, 0], inverse[0, 1], inverse[0, 2]
-    i10, i11, i12 = inverse[1, 0], inverse[1, 1], inverse[1, 2]
-    i20, i21, i22 = inverse[2, 0], inverse[2, 1], inverse[2, 2]
-    s0, s1, s2 = shift[0], shift[1], shift[2]
-    b0, b1, b2 = ambient[0], ambient[1], ambient[2]
-    for v in range(coarse.shape[1]):
-        for u in range(coarse.shape[2]):
-            y, cb, cr = coarse[0, v, u], coarse[1, v, u], coarse[2, v, u]
-            e0 = t00 * y + t01 * cb + t02 * cr + s0
-            e1 = t10 * y + t11 * cb + t12 * cr + s1
-            e2 = t20 * y + t21 * cb + t22 * cr + s2
-            k0 = int(min(max(e0, np.float32(0)), np.float32(1)) * top + np.float32(0.5))
-            k1 = int(min(max(e1, np.float32(0)), np.float32(1)) * top + np.float32(0.5))
-            k2 = int(min(max(e2, np.float32(0)), np.float32(1)) * top + np.float32(0.5))
-            r0, r1, r2 = light[k0] - b0, light[k1] - b1, light[k2] - b2
-            x0 = i00 * r0 + i01 * r1 + i02 * r2
-            x1 = i10 * r0 + i11 * r1 + i12 * r2
-            x2 = i20 * r0 + i21 * r1 + i22 * r2
-            squared = x0 * x0 + x1 * x1 + x2 * x2
-            if squared < darkest * darkest:
-                for k in range(_KINDS - 1):
-                    turns[k, v, u] = np.float32(0)
-                continue
-            # n = (p, q, -1) / √(1 + p² + q²), x = ρ n: the slope along a unit vector e of the picture turns x
-            # by ρ |n_z| (e - (n·e) n), and every code by its gradient over x times that
-            scale = abs(x2)
-            xx, xy, yy = one - x0 * x0 / squared, -x0 * x1 / squared, one - x1 * x1 / squared
-            xz, yz = -x0 * x2 / squared, -x1 * x2 / squared
-            a0, a1, a2 = slope[k0] * scale, slope[k1] * scale, slope[k2] * scale
-            p0, q0 = a0 * (m00 * xx + m01 * xy + m02 * xz), a0 * (m00 * xy + m01 * yy + m02 * yz)
-            p1, q1 = a1 * (m10 * xx + m11 * xy + m12 * xz), a1 * (m10 * xy + m11 * yy + m12 * yz)
-            p2, q2 = a2 * (m20 * xx + m21 * xy + m22 * xz), a2 * (m20 * xy + m21 * yy + m22 * yz)
-            g0, g1 = w0 * p0 + w1 * p1 + w2 * p2, w0 * q0 + w1 * q1 + w2 * q2
-            steepest = max(g0 * g0 + g1 * g1, np.float32(1e-12))
-            eps = noise / steepest
-            # a, b and c of this file's docstring by least squares over φ, all directions being as likely
-            seen = half + eps
-            det = half * seen * seen - sixteenth
-            on_level = (quarter * seen - sixteenth) / det
-            on_wave = (quarter * seen - eighth) / det
-            beside_wave = one / (one + eps + eps)
-            cosine, sine = (g0 * g0 - g1 * g1) / steepest, (g0 * g1 + g0 * g1) / steepest  # of 2 γ
-            for k in range(2):
-                if k == 0:
-                    to_p, to_q = f10 * p0 + f11 * p1 + f12 * p2, f10 * q0 + f11 * q1 + f12 * q2
-                else:
-                    to_p, to_q = f20 * p0 + f21 * p1 + f22 * p2, f20 * q0 + f21 * q1 + f22 * q2
-                on = (to_p * g0 + to_q * g1) / (steepest * span)
-                beside = (to_q * g0 - to_p * g1) / (steepest * span)
-                turns[3 * k, v, u] = on_level * on
-                turns[3 * k + 1, v, u] = on_wave * cosine * on - beside_wave * sine * beside
-                turns[3 * k + 2, v, u] = on_wave * sine * on + beside_wave * cosine * beside
+def _mean_of_blocks(plane: Array, down: int, across: int) -> Float32Array:
+    """Return the mean of each block of so many rows and columns; the last row and column go on beyond."""
+    height, width = plane.shape
+    whole = cv2.copyMakeBorder(plane, 0, -height % down, 0, -width % across, cv2.BORDER_REPLICATE)
+    size = (whole.shape[1] // across, whole.shape[0] // down)
+    mean = cv2.resize(whole.astype(np.float32), size, interpolation=cv2.INTER_AREA)
+    return np.asarray(mean, dtype=np.float32)
 
 
 @njit(cache=True, fastmath=True)
