@@ -165,9 +165,7 @@ def rgb_from_planar_yuv(
     """
     matrix, offset = _rgb_from_stored(source, bits, hd=hd, takes_codes=takes_codes)
     planes = [_plane(frame, i, np.dtype(np.uint8 if bits == 8 else np.uint16)) for i in range(3)]
-    rgb = np.empty((frame.height, frame.width, 3), dtype=np.uint16)
-    _apply(planes[0], planes[1], planes[2], matrix * 65535.0, offset * 65535.0, rgb)
-    return rgb
+    return _rgb_from_planes(*planes, matrix, offset)
 
 
 def rgb_with_luma_detail(
@@ -177,7 +175,8 @@ def rgb_with_luma_detail(
     bits = pixel_format.bits
     matrix, offset = _rgb_from_stored(frame, bits, hd=hd, takes_codes=takes_codes)
     kind = np.dtype(np.uint8 if bits == 8 else np.uint16)
-    return detail.rgb([_plane(frame, i, kind) for i in range(3)], matrix, offset)
+    planes = [_plane(frame, i, kind) for i in range(3)]
+    return _rgb_from_planes(planes[0], *detail.chroma(planes, matrix, offset), matrix, offset)
 
 
 def _rgb_from_stored(source: Any, bits: int, *, hd: bool, takes_codes: bool) -> tuple[Matrix3, Vector3]:
@@ -216,10 +215,13 @@ def _plane(frame: Any, index: int, kind: np.dtype[Any]) -> Array:
 
 
 @njit(cache=True)
-def _apply(luma, blue, red, matrix, offset, rgb):  # type: ignore[no-untyped-def]  # pragma: no cover
+def _rgb_from_planes(luma, blue, red, matrix, offset):  # type: ignore[no-untyped-def]  # pragma: no cover
+    matrix, offset = matrix * 65535.0, offset * 65535.0
+    rgb = np.empty((*luma.shape, 3), dtype=np.uint16)
     for v in range(rgb.shape[0]):
         for u in range(rgb.shape[1]):
             y, cb, cr = float(luma[v, u]), float(blue[v, u]), float(red[v, u])
             for c in range(3):
                 value = matrix[c, 0] * y + matrix[c, 1] * cb + matrix[c, 2] * cr + offset[c] + 0.5
                 rgb[v, u, c] = np.uint16(min(max(value, 0.0), 65535.0))
+    return rgb
