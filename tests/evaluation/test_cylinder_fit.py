@@ -82,9 +82,7 @@ def poses(count: int) -> list[tuple[np.ndarray, np.ndarray]]:
         pytest.param(ORTHOGRAPHIC, marks=pytest.mark.slow, id="orthographic"),
     ],
 )
-def test_pose_and_radius_are_found_under_noise_and_wrong_normals(
-    camera: Camera, rng: np.random.Generator
-) -> None:
+def test_pose_and_radius_are_found_under_noise_and_wrong_normals(camera, rng):
     truths = poses(3)
     frames = []
     for axis, centre in truths:

@@ -41,9 +41,7 @@ def digest(folder: Path) -> dict[str, str]:
     return {str(p.relative_to(folder)): hashlib.sha256(p.read_bytes()).hexdigest() for p in files}
 
 
-def test_without_dask_one_line_says_what_to_install(
-    dome_capture: DomeCapture, tmp_path: Path, monkeypatch
-) -> None:
+def test_without_dask_one_line_says_what_to_install(dome_capture, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(MissingDependency, match=r"pip install vntoolkit\[cluster\]"):
         reconstruct(job_of(dome_capture, tmp_path / "out"), scheduler="local")
@@ -125,9 +123,7 @@ def small_cluster(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[str, list[s
     ],
     ids=["scheduler killed", "scheduler stopped", "workers killed", "workers stopped", "one worker stopped"],
 )
-def test_what_happens_to_a_cluster_is_one_line_or_nothing(
-    tmp_path: Path, small_cluster: tuple[str, list[subprocess.Popen[bytes]]], struck, how, line
-) -> None:
+def test_what_happens_to_a_cluster_is_one_line_or_nothing(tmp_path, small_cluster, struck, how, line):
     """The run ends by one line, or goes on with the worker that is left; given again, it is completed."""
     address, processes = small_cluster
     (tmp_path / "footage").mkdir()

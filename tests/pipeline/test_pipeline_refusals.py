@@ -91,9 +91,7 @@ def _response():
     return RESPONSE
 
 
-def test_tracks_and_a_truth_that_do_not_match(
-    result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_tracks_and_a_truth_that_do_not_match(result, tmp_path, capsys):
     _write_track_truth(tmp_path, 2)
     with pytest.raises(BadInput, match="its frames reach 5, the truth has 2"):
         evaluate_tracks(result / "track", tmp_path)
@@ -120,13 +118,7 @@ def test_tracks_and_a_truth_that_do_not_match(
         (["A", "--out", "text.txt"], "a file stands where a folder is needed"),
     ],
 )
-def test_evaluate_tracks_refuses_what_it_cannot_do(
-    arguments: list[str],
-    line: str,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_evaluate_tracks_refuses_what_it_cannot_do(arguments, line, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "text.txt").write_text("")
     assert main(["evaluate", "tracks", *arguments, "--truth", str(tmp_path)]) == 1
@@ -145,10 +137,7 @@ def test_evaluate_tracks_refuses_what_it_cannot_do(
         (["track", "o", "--data-share", "0.5"], "method `default` has none"),
     ],
 )  # fmt: skip
-def test_flags_that_need_each_other(
-    arguments: list[str], line: str, tmp_path: Path, dome_capture: DomeCapture,
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch,
-) -> None:  # fmt: skip
+def test_flags_that_need_each_other(arguments, line, tmp_path, dome_capture, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     write_rig(tmp_path / "R", dome_capture.rig)
     assert main([dome_capture.source if a == "F" else a for a in arguments]) == 1
@@ -185,9 +174,7 @@ def test_presses_without_labels_or_of_another_size(tmp_path: Path, dome_capture:
         replace(job, label_size=(0, 0))
 
 
-def test_rectified_images_are_not_mixed_with_others(
-    tmp_path: Path, dome_capture: DomeCapture, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_rectified_images_are_not_mixed_with_others(tmp_path, dome_capture, capsys):
     footage, out = tmp_path / "footage", tmp_path / "out"
     write_png(footage / "000000.png", np.full((*SIZE, 3), 90, np.uint8))
     write_png(out / "000007.png", np.full((*SIZE, 3), 9, np.uint8))

@@ -109,9 +109,7 @@ def test_no_frame_and_no_foreign_script(server: LocalServer) -> None:
 
 
 @pytest.mark.parametrize("sent", [b"", b"GET /packet", b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n"])
-def test_a_request_that_never_ends_is_let_go(
-    server: LocalServer, monkeypatch: pytest.MonkeyPatch, sent: bytes
-) -> None:
+def test_a_request_that_never_ends_is_let_go(server, monkeypatch, sent):
     monkeypatch.setattr(local_server, "_REQUEST_S", 0.6)
     with socket.create_connection(("127.0.0.1", server.port), timeout=10) as dawdler:
         dawdler.sendall(sent)

@@ -287,9 +287,7 @@ def test_command_line_writes_every_format(tmp_path: Path, moving_jumper: MeshSeq
         (["--motion", str(WALK), "--out", "a.usdc", "--garment", "jacket"], '"sweater", "sleeveless"'),
     ],
 )
-def test_command_line_refuses_in_one_line(
-    arguments, message, tmp_path: Path, moving_jumper: MeshSequence, capsys, monkeypatch
-) -> None:
+def test_command_line_refuses_in_one_line(arguments, message, tmp_path, moving_jumper, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     write_mesh_sequence(tmp_path / "track", moving_jumper)
     (tmp_path / "alone.amc").write_text("1\n")
