@@ -12,6 +12,7 @@ from vntoolkit.errors import BadCapture, BadInput, BadMesh, BadRig, CannotWrite
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.point_cloud import PointCloud
+from vntoolkit.io.atomic import write_bytes
 from vntoolkit.io.files import require_file, require_inside, sha256_of_file
 from vntoolkit.io.footage.images import encoded_image, read_image, write_png
 from vntoolkit.io.footage.video import write_video
@@ -47,6 +48,9 @@ LEVEL = DepthMap(depth=PLANE, mask=ALL)
         (lambda p: encoded_image(np.zeros((4, 5), np.uint8), ".gif"), BadInput, r"one of \.png.*'\.gif'"),
         (lambda p: encoded_image(np.zeros((0, 5), np.uint8)), BadInput, r"of shape \(0, 5\) as \.png"),
         (lambda p: write_png(p / "a.png", np.zeros((0, 5), np.uint8)), BadInput, r"got \(0, 5\)"),
+        (lambda p: write_png(p / "a.png", np.zeros((0, 3), np.uint8)), BadInput, r"a\.png: expected"),
+        (lambda p: write_png(p / "a.png", np.zeros(4, np.uint8)), BadInput, r"a\.png: expected"),
+        (lambda p: write_png(p / "a.png", np.zeros((2, 2, 2, 3), np.uint8)), BadInput, r"a\.png: expected"),
         (lambda p: write_exr(p / "a.exr", {"Z": PLANE.astype(int)}), BadInput, "float32, got int64"),
         (lambda p: write_labels(p / "a.png", np.full((4, 5), 8, np.uint8)), BadInput, "bytes from 0 to 7"),
         (lambda p: write_normal_map(p / "a.jpg", FLAT), BadInput, r"as \.exr or \.png, not '\.jpg'"),
@@ -66,14 +70,18 @@ LEVEL = DepthMap(depth=PLANE, mask=ALL)
         (lambda p: write_point_cloud(p / "a.obj", PointCloud(points=np.eye(3))), CannotWrite, r"as \.ply"),
         (lambda p: write_mesh(p, TRIANGLE), CannotWrite, "a mesh is written as"),
         (lambda p: write_png(p, np.zeros((4, 5), np.uint8)), CannotWrite, "is a folder, expected the name"),
+        (lambda p: write_bytes(".", b""), CannotWrite, "is a folder"),
+        (lambda p: write_bytes("/", b""), CannotWrite, "is a folder"),
+        (lambda p: write_bytes("", b""), CannotWrite, "is a folder"),
         (lambda p: write_video(p / "a.mp4", [], 30), CannotWrite, r"a name that ends in \.mkv"),
         (lambda p: write_video(p / "a.mkv", [], 30), BadCapture, "no frame to write"),
         (lambda p: write_video(p / "a.mkv", [PLANE], 30), BadCapture, r"uint16 frames, got \(4, 5\) float32"),
     ],
 )  # fmt: skip
-def test_writers_refuse_what_the_format_cannot_hold(tmp_path, write, error, line):
+def test_writers_refuse_what_the_format_cannot_hold(tmp_path, capfd, write, error, line):
     with pytest.raises(error, match=line):
         write(tmp_path)
+    assert capfd.readouterr() == ("", "")
     assert not list(tmp_path.iterdir())
 
 
