@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from vntoolkit.errors import BadCapture, BadInput, BadMesh, BadRig, CannotWrite
+from vntoolkit.errors import BadCapture, BadInput, BadMesh, CannotWrite
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.point_cloud import PointCloud
@@ -28,8 +28,6 @@ from vntoolkit.io.maps_and_meshes.maps import (
 )
 from vntoolkit.io.maps_and_meshes.meshes import write_mesh, write_point_cloud
 from vntoolkit.io.results.frame_log import FrameEntry, FrameLog
-from vntoolkit.io.results.manifest import read_manifest
-from vntoolkit.io.rigs import rig_from_text
 from vntoolkit.live.capture import CameraSource
 from vntoolkit.pipeline.calibrate_presses import read_press_label
 
@@ -157,26 +155,6 @@ def test_names_that_lead_nowhere_or_out(tmp_path):
         require_inside(tmp_path, "x" * 300, "list")
     with pytest.raises(BadInput, match="list: names a file that cannot be"):
         require_inside(tmp_path, "a\0b", "list")
-
-
-@pytest.mark.parametrize(
-    ("text", "line"),
-    [
-        ("[" * 100_000, "brackets are nested too deeply"),
-        ('{"version": ' + "9" * 5000 + "}", "but this is not JSON: Exceeds the limit"),
-        ('{"version": 99}', "is of version 99, this program reads 1 to"),
-        ('{"version": 1, "cheese": 1}', "rig.json: "),
-    ],
-)
-def test_json_that_is_no_rig(text, line):
-    with pytest.raises(BadRig, match=line):
-        rig_from_text(text, "rig.json")
-
-
-def test_a_manifest_of_another_version(tmp_path):
-    (tmp_path / "reconstruction.json").write_text('{"version": 99}')
-    with pytest.raises(BadInput, match="is of version 99, this program reads"):
-        read_manifest(tmp_path)
 
 
 def test_a_frame_log_that_is_no_file(tmp_path):

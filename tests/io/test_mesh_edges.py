@@ -46,11 +46,6 @@ def test_a_header_without_a_count_counts_nothing(tmp_path):
     assert read_ply_counts(tmp_path / "a.ply") == {"face": 2}
 
 
-def test_an_index_beyond_32_bits_does_not_wrap_round():
-    with pytest.raises(BadMesh, match="outside the 3 vertices"):
-        Mesh(vertices=np.eye(3), faces=np.array([[0, 1, 2**32 + 2]]))
-
-
 @pytest.mark.parametrize("rate", [0.0, -1.0, np.nan, np.inf])
 def test_a_clip_needs_a_rate(tmp_path, rate):
     with pytest.raises(BadInput, match="frame rate: expected a positive number"):

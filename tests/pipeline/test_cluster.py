@@ -1,6 +1,5 @@
 """Many machines: the same bytes from Dask's workers, a worker that dies in mid-run, a run that goes on."""
 
-import hashlib
 import os
 import signal
 import socket
@@ -14,31 +13,20 @@ from pathlib import Path
 import pytest
 
 from tests.pipeline.conftest import DomeCapture, write_dome_capture
-from tests.pipeline.test_reconstruct import footage_with_specks
+from tests.pipeline.test_reconstruct import digest, footage_with_specks
+from tests.pipeline.test_reconstruct import job_of as reconstruct_job_of
 from vntoolkit.errors import BadInput, BadMesh, MissingDependency, VntError
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.results.frame_log import FrameEntry, FrameLog
-from vntoolkit.options.normals import ShadowMethod
-from vntoolkit.options.reconstruction import Product, ReconstructOptions
+from vntoolkit.options.reconstruction import Product
 from vntoolkit.pipeline import cluster
 from vntoolkit.pipeline.cluster import connected
-from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.reconstruct import reconstruct
 from vntoolkit.pipeline.request import Request
 
 
 def job_of(capture: DomeCapture, out: Path) -> Request:
-    return Request(
-        source=capture.source,
-        rig=capture.rig,
-        options=ReconstructOptions(shadows=ShadowMethod.NONE, to=Product.DEPTH),
-        folder=ReconstructionFolder(root=out),
-    )
-
-
-def digest(folder: Path) -> dict[str, str]:
-    files = sorted(folder.rglob("*.exr"))
-    return {str(p.relative_to(folder)): hashlib.sha256(p.read_bytes()).hexdigest() for p in files}
+    return reconstruct_job_of(capture, out, to=Product.DEPTH)
 
 
 def test_without_dask_one_line_says_what_to_install(dome_capture, tmp_path, monkeypatch):

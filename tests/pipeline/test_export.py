@@ -266,13 +266,6 @@ def test_an_animation_that_fails_leaves_nothing(dome_result: DomeResult, tmp_pat
     assert list(out.iterdir()) == []
 
 
-def test_refusals(dome_result: DomeResult, tmp_path: Path) -> None:
-    with pytest.raises(BadInput, match=r"in pixels; give --scale METRES"):
-        exported(dome_result, tmp_path, ExportFormat.PLY, units=FileUnit.CM)
-    with pytest.raises(BadInput, match="metres and y up by its standard"):
-        ExportOptions(to=ExportFormat.GLB, up=MeshUpAxis.Z)
-
-
 def test_streamed_rows_must_be_as_many_as_promised(tmp_path: Path) -> None:
     rows = (np.zeros(2) for _ in range(3))
     with pytest.raises(ValueError, match="3 rows came, 4 were promised"):

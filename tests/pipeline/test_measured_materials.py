@@ -273,8 +273,6 @@ def test_a_number_is_refused_where_the_lamps_colours_are_not_known(striped: Requ
     with pytest.raises(BadInput, match="does not hold the colours of its lamps"):
         reconstruct(replace(job, rig=rig))
     assert not job.folder.root.exists()
-    with pytest.raises(BadInput, match="expected auto, calibrated or a number from 1 to 12, got 0"):
-        ReconstructOptions(materials=0)
 
 
 def test_dark_hair_belongs_to_the_subject_and_the_backdrops_noise_does_not() -> None:

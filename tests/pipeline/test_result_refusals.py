@@ -109,8 +109,6 @@ def test_a_result_with_a_background_needs_it_for_diligent(result: Path) -> None:
 
 
 def test_exported_lengths_that_contradict_the_result() -> None:
-    with pytest.raises(BadInput, match="scale: expected a positive number of metres, got 0"):
-        ExportOptions(to=ExportFormat.PLY, scale=0.0)
     with pytest.raises(BadInput, match="has lengths in metres already; leave out --scale"):
         file_lengths(ExportOptions(to=ExportFormat.PLY, scale=1.0), LengthUnit.METRE)
 
