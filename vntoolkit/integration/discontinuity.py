@@ -49,25 +49,38 @@ def solve_discontinuous(
     if not inside.any():
         return np.zeros(inside.shape[1:])
     variance = np.where(inside, variance_of_edges(edges.difference, variance, inside), np.float32(1.0))
+    confidences = edges.weight[inside]
+    depth = solver.solve(edges, start, weighted=bool(confidences.min() < confidences.max()))
+    residual = _differences(depth) - edges.difference
+    if _are_explained(residual[inside], variance[inside]):
+        return depth
     trust = edges.weight / variance
     trust /= trust.max(initial=_SMALLEST)
-    depth: Float64Array = np.zeros(inside.shape[1:]) if start is None else np.asarray(start, np.float64)
     weight, tolerance = trust, _FIRST_TOLERANCE
     for progress in np.linspace(0.0, 1.0, _ROUNDS + 1):
-        missing = edges.difference - _differences(depth)
-        field = EdgeField(difference=missing.astype(np.float32), weight=weight)
+        field = EdgeField(difference=-residual.astype(np.float32), weight=weight)
         depth = depth + solver.solve(
             field, weighted=True, tolerance=tolerance, most_iterations=_ROUND_ITERATIONS
         )
         residual = _differences(depth) - edges.difference
-        normalised = np.abs(residual[inside]) / np.sqrt(variance[inside])
-        deviation = _MEDIAN_TO_DEVIATION * float(np.median(normalised))
-        if tolerance == _FIRST_TOLERANCE and normalised.max() < _largest_of(normalised.size) * deviation:
-            return solver.solve(EdgeField(difference=edges.difference, weight=trust), depth, weighted=True)
+        if tolerance == _FIRST_TOLERANCE and _are_explained(residual[inside], variance[inside]):
+            break  # only grazing normals, which now count less, were off
+        deviation = _deviation(np.abs(residual[inside]) / np.sqrt(variance[inside]))
         scale = max(_SCALE * deviation, 1.0) * _WIDENING ** max(0.0, 1.0 - progress / _NARROW_FROM)
         share = kept_share(residual, edges.difference, scale**2 * variance)
         weight, tolerance = trust * np.maximum(share, _LEAST_WEIGHT), _ROUND_TOLERANCE
     return depth
+
+
+def _are_explained(residual: FloatArray, variance: FloatArray) -> bool:
+    """Whether the largest residual (m,) is no larger than the largest of so many normal deviates may be."""
+    normalised = np.abs(residual) / np.sqrt(variance)
+    largest = math.sqrt(2.0 * math.log(normalised.size)) + 1.0
+    return bool(normalised.max() <= largest * max(_deviation(normalised), 1.0))
+
+
+def _deviation(normalised: FloatArray) -> float:
+    return _MEDIAN_TO_DEVIATION * float(np.median(normalised))
 
 
 def kept_share(residual: Float64Array, wanted: Float32Array, tolerated: Float32Array) -> Float32Array:
@@ -77,11 +90,6 @@ def kept_share(residual: Float64Array, wanted: Float32Array, tolerated: Float32A
     """
     against = np.where(residual * wanted < 0, 1.0 + (_AGAINST_SLOPE * wanted) ** 2, 1.0)
     return np.square(1.0 / (1.0 + residual**2 / (tolerated * against))).astype(np.float32)
-
-
-def _largest_of(count: int) -> float:
-    """Return what the largest of so many normally distributed residuals may be, in standard deviations."""
-    return math.sqrt(2.0 * math.log(count)) + 1.0
 
 
 def variance_of_edges(difference: Float32Array, variance: Float32Array, inside: Mask) -> Float32Array:
