@@ -23,8 +23,6 @@ from vntoolkit.geometry.garment_fit import GarmentFit
 from vntoolkit.geometry.maps import DepthMap, NormalMap
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.motion import Motion, Skeleton
-from vntoolkit.integration.discontinuity import hierarchy_from_graph, solve_laplacian
-from vntoolkit.integration.edges import graph_from_domain
 from vntoolkit.io.maps_and_meshes.usd import write_usd_sequence
 from vntoolkit.meshing.clean import clean_mesh
 from vntoolkit.options.calibration import FitMethod, ResponseFitOptions
@@ -202,16 +200,6 @@ def test_a_library_that_only_the_loader_names_is_named(monkeypatch, said, line):
     monkeypatch.setattr(native.importlib, "import_module", refuse)
     with pytest.raises(MissingDependency, match=rf"pymeshlab needs {said.split(':')[0]}, .*: {line}"):
         native.import_pymeshlab()
-
-
-def test_a_linear_solver_that_runs_out_of_iterations(rng):
-    graph = graph_from_domain(np.ones((64, 64), dtype=bool))
-    hierarchy = hierarchy_from_graph(graph.row_start, graph.neighbour, np.ones(len(graph.neighbour)))
-    load = rng.normal(size=64 * 64)
-    with pytest.raises(
-        SolverFailed, match=r"reached a relative residual of .* in 1 iterations: raise most_it"
-    ):
-        solve_laplacian(hierarchy, load - load.mean(), np.zeros(64 * 64), tolerance=1e-12, most_iterations=1)
 
 
 def test_usd_files_that_hold_no_surface_of_ours(tmp_path):

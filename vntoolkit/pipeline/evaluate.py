@@ -35,6 +35,7 @@ from vntoolkit.io.maps_and_meshes.meshes import read_mesh
 from vntoolkit.io.rigs import read_rig
 from vntoolkit.options.depth import IntegrationOptions, Integrator
 from vntoolkit.options.export import NormalConvention
+from vntoolkit.pipeline.integrate_normals import read_camera_matrix
 from vntoolkit.pipeline.opened_result import OpenedResult
 from vntoolkit.pipeline.simulate import SimulationFolder
 from vntoolkit.pipeline.tracked_folder import read_tracks
@@ -467,21 +468,11 @@ def read_object(folder: Path) -> tuple[Camera, NormalMap, FloatArray]:
     normal_map = read_normal_map(folder / "normal_map.png", mask=mask)
     warn_of_flipped_axes(folder / "normal_map.png", normal_map)
     height, width = mask.shape
-    matrix = _read_matrix(folder / "K.txt")
+    matrix = read_camera_matrix(folder / "K.txt")
     camera = Camera(model=CameraModel.PINHOLE, width=width, height=height, matrix=matrix)
     truth = read_npz(folder / "depth_gt.npz", "depth_gt").astype(np.float64)
     require_same_size(truth, f"{folder / 'depth_gt.npz'}", mask, "the mask")
     return camera, normal_map, truth
-
-
-def _read_matrix(path: Path) -> FloatArray:
-    words = read_text(path).split()
-    try:
-        return np.array([float(word) for word in words]).reshape(3, 3)
-    except ValueError as error:
-        raise BadInput(
-            f"{path}: expected the 9 numbers of a 3 × 3 camera matrix, got {len(words)} words"
-        ) from error
 
 
 def real_object_errors(folder: Path) -> list[ObjectError]:

@@ -73,8 +73,9 @@ def read_normal_map(
     convention: None for what the EXR's header says, else opengl. mask: (h, w); None for the alpha channel,
     or where there is none, for the pixels whose vector is longer than 0.5.
     """
+    weight: Plane | None
     if Path(path).suffix.lower() == ".exr":
-        stored, weight, error, stated = _normals_from_exr(path, max_megapixels)
+        stored, weight, error, stated = exr_planes_of_normals(path, max_megapixels)
     else:
         pixels, alpha = read_image_with_alpha(path, max_megapixels=max_megapixels)
         full = 1.0 if pixels.dtype == np.float32 else np.iinfo(pixels.dtype).max
@@ -157,9 +158,10 @@ def _png_from_normals(stored: FloatArray, mask: Mask, bits: int) -> Array:
     return rgba
 
 
-def _normals_from_exr(
+def exr_planes_of_normals(
     path: Path | str, max_megapixels: float | None
-) -> tuple[FloatArray, Plane | None, Plane | None, NormalConvention | None]:
+) -> tuple[FloatArray, Plane, Plane | None, NormalConvention | None]:
+    """Return what an EXR holds of normals: vectors (h, w, 3) as stored, confidence, errors, stated axes."""
     channels, texts = read_exr(path, max_megapixels=max_megapixels, error=BadInput)
     names = next((n for n in ("RGB", "XYZ", "xyz") if set(n) <= set(channels)), None)
     if names is None:
