@@ -3,7 +3,7 @@
 PYTHON := .venv/bin/python
 READY := .venv/.ready
 
-.PHONY: demo test test-slow ratios measure test-lowest dist fuzz error-coverage lint docs lock clean
+.PHONY: demo test test-slow ratios measure dist fuzz error-coverage lint docs lock clean
 
 demo: $(READY)
 	$(PYTHON) -m vntoolkit demo --out out/demo --overwrite --jobs 2
@@ -59,15 +59,6 @@ lock: $(READY)
 	.venv/bin/uv pip compile --group docs --universal --python-version 3.11 \
 	    --generate-hashes --no-emit-index-url --upgrade --quiet --custom-compile-command "make lock" \
 	    --output-file docs/requirements.lock
-	.venv/bin/uv pip compile pyproject.toml --all-extras --python-version 3.11 --resolution lowest-direct \
-	    --generate-hashes --no-emit-index-url --quiet --custom-compile-command "make lock" \
-	    --output-file tests/lowest.lock
-
-# The tests with the lowest versions that pyproject.toml admits.
-test-lowest: $(READY)
-	.venv/bin/uv venv --clear --quiet --python $(PYTHON) .venv-lowest
-	.venv/bin/uv pip install --quiet --python .venv-lowest/bin/python --require-hashes -r tests/lowest.lock
-	.venv-lowest/bin/python -m pytest -m "not slow" -n 2 --dist loadfile
 
 # Wheel and source archive, in out/dist.
 dist: $(READY)
@@ -75,4 +66,4 @@ dist: $(READY)
 	$(PYTHON) -m hatchling build -d out/dist
 
 clean:
-	rm -rf .venv .venv-docs .venv-lowest out
+	rm -rf .venv .venv-docs out
