@@ -67,17 +67,17 @@ BAD_BVH = {
     ),
     "NaN": (
         BVH.replace("1 2 3 0 0 0 90", "1 nan 3 0 0 0 90"),
-        "line 18: expected a finite number, got 'nan'",
+        "line 19: expected a finite number, got 'nan'",
     ),
     "infinity": (
         BVH.replace("0 0 0 90 0 0", "0 0 0 1e999 0 0"),
-        "line 18: expected a finite number, got '1e999'",
+        "line 19: expected a finite number, got '1e999'",
     ),
     "NaN offset": (
         BVH.replace("OFFSET 0 1 0", "OFFSET 0 nan 0"),
         "line 4: expected a finite number, got 'nan'",
     ),
-    "a word": (BVH.replace("90 0 0", "90 zero 0"), "line 18: expected a number, got 'zero'"),
+    "a word": (BVH.replace("90 0 0", "90 zero 0"), "line 19: expected a number, got 'zero'"),
     "commas and points": (BVH.replace("90 0 0", "90,5 0.5 0"), "both commas and points"),
     "cyclic": (BVH.replace("JOINT Chest", "JOINT Hips"), "line 7: joint 'Hips' occurs twice"),
     "no name": (BVH.replace("JOINT Chest", "JOINT"), "has no name"),
