@@ -20,7 +20,6 @@ import cv2
 import numpy as np
 
 from vntoolkit.arrays import Array, Float32Array, Matrix3, Vector3
-from vntoolkit.native import njit
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.transfer import Transfer, linear_from_encoded
 
@@ -29,9 +28,6 @@ from vntoolkit.photometry.transfer import Transfer, linear_from_encoded
 _NOISE_OVER_DETAIL = 0.01
 _CODES = 1024  # of the decoding table
 _DARKEST = 1e-3  # of M's own brightness: no direction is known below
-# What the detail, its waves across against along, and its diagonal ones, change in Cb and in Cr; and how far
-# the detail is an edge.
-_KINDS = 7
 # Luma beside a place over the greatest there: below the first it is an edge, above the other one relief.
 _EDGE, _NO_EDGE = np.float32(0.25), np.float32(0.5)
 _FAINT = 0.02  # of full scale: less luma by chroma's samples is rounding, and tells no share
@@ -68,13 +64,12 @@ class LumaDetail:
         coarse = np.stack([_mean_of_blocks(luma, *steps), blue, red], dtype=np.float32, casting="unsafe")
         # the turns change slowly: a fourth of the samples tells them
         fewer = np.stack([_mean_of_blocks(plane, 2, 2) for plane in coarse])
-        turns = np.empty((_KINDS, *fewer.shape[1:]), np.float32)
         to_rgb, shift = matrix.astype(np.float32), offset.astype(np.float32)
         from_rgb = np.linalg.inv(matrix).astype(np.float32)
         faint = _FAINT * from_rgb[0].sum()
         dark = (-from_rgb @ shift).astype(np.float32)  # the codes of black
-        turns[:-1] = self._chroma_per_luma(fewer, to_rgb, shift, from_rgb)
-        _edges(fewer[0], dark[0], turns)
+        edge = _edges(fewer[0], dark[0])
+        turns = np.stack([*(self._chroma_per_luma(fewer, to_rgb, shift, from_rgb) * (1 - edge)), edge])
         down, across = steps
         smooth = _interpolated(coarse, down, across, luma.shape, cv2.INTER_CUBIC)
         turns = _interpolated(turns, 2 * down, 2 * across, luma.shape, cv2.INTER_LINEAR)
@@ -148,20 +143,9 @@ def _mean_of_blocks(plane: Array, down: int, across: int) -> Float32Array:
     return np.asarray(mean, dtype=np.float32)
 
 
-@njit(cache=True, fastmath=True)
-def _edges(luma, dark, turns):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """Fill the last of the turns, 0 to 1, by the luma (h, w) around, and take edges out of the others."""
-    height, width = luma.shape
-    one, zero = np.float32(1), np.float32(0)
-    for v in range(height):
-        for u in range(width):
-            least, most = luma[v, u], luma[v, u]
-            for row in range(max(v - 1, 0), min(v + 2, height)):
-                for column in range(max(u - 1, 0), min(u + 2, width)):
-                    least, most = min(least, luma[row, column]), max(most, luma[row, column])
-            share = (least - dark) / max(most - dark, np.float32(1e-6))
-            edge = min(max((_NO_EDGE - share) / (_NO_EDGE - _EDGE), zero), one)
-            turns[_KINDS - 1, v, u] = edge
-            if edge > zero:
-                for k in range(_KINDS - 1):
-                    turns[k, v, u] *= one - edge
+def _edges(luma: Float32Array, dark: float) -> Float32Array:
+    """Return how far each place of the luma (h, w) lies at an edge, 0 to 1, by its eight neighbours."""
+    around = np.ones((3, 3), np.uint8)
+    least, most = cv2.erode(luma, around) - dark, cv2.dilate(luma, around) - dark
+    share = least / np.maximum(most, np.float32(1e-6))
+    return np.clip((_NO_EDGE - share) / (_NO_EDGE - _EDGE), 0, 1).astype(np.float32)
