@@ -69,21 +69,26 @@ class LumaDetail:
         faint = _FAINT * from_rgb[0].sum()
         dark = (-from_rgb @ shift).astype(np.float32)  # the codes of black
         edge = _edges(fewer[0], dark[0])
-        turns = np.stack([*(self._chroma_per_luma(fewer, to_rgb, shift, from_rgb) * (1 - edge)), edge])
-        down, across = steps
-        smooth = _interpolated(coarse, down, across, luma.shape, cv2.INTER_CUBIC)
-        turns = _interpolated(turns, 2 * down, 2 * across, luma.shape, cv2.INTER_LINEAR)
-        detail: Float32Array = luma - smooth[0]
-        across_edge = np.nonzero(turns[-1] > 0)
-        light = (luma[across_edge] - dark[0]) / np.maximum(smooth[0][across_edge] - dark[0], faint)
-        more = turns[-1][across_edge] * (np.maximum(light, 0) - 1)  # chroma falls with luma
-        for chroma, black in zip(smooth[1:], dark[1:], strict=True):
-            chroma[across_edge] += more * (chroma[across_edge] - black)
+        turns = self._chroma_per_luma(fewer, to_rgb, shift, from_rgb) * (1 - edge)
+
+        def fine(plane: Float32Array, method: int, factor: int = 1) -> Float32Array:
+            size = (plane.shape[1] * steps[1] * factor, plane.shape[0] * steps[0] * factor)
+            whole = cv2.resize(plane, size, interpolation=method)
+            return np.ascontiguousarray(whole[: luma.shape[0], : luma.shape[1]], dtype=np.float32)
+
+        mean, *chroma = (fine(plane, cv2.INTER_CUBIC) for plane in coarse)
+        edge = fine(edge, cv2.INTER_LINEAR, 2).ravel()
+        there = np.flatnonzero(edge > 0)
+        light = (luma.ravel()[there] - dark[0]) / np.maximum(mean.ravel()[there] - dark[0], faint)
+        more = edge[there] * (np.maximum(light, 0) - 1)
+        for plane, black in zip(chroma, dark[1:], strict=True):
+            plane.ravel()[there] += more * (plane.ravel()[there] - black)  # chroma falls with luma
+        detail: Float32Array = luma - mean
         waves = [cv2.filter2D(detail, -1, kernel, borderType=cv2.BORDER_REPLICATE) for kernel in _WAVES]
-        for k, filtered in enumerate((detail, *waves)):
-            cv2.accumulateProduct(turns[k], filtered, smooth[1])
-            cv2.accumulateProduct(turns[k + 3], filtered, smooth[2])
-        return smooth[1], smooth[2]
+        for k, turn in enumerate(turns):
+            filtered = (detail, *waves)[k % 3]
+            cv2.accumulateProduct(fine(turn, cv2.INTER_LINEAR, 2), filtered, chroma[k // 3])
+        return chroma[0], chroma[1]
 
     def _chroma_per_luma(
         self, coarse: Float32Array, to_rgb: Matrix3, shift: Vector3, from_rgb: Matrix3
@@ -121,17 +126,6 @@ class LumaDetail:
             turns.append(on_wave * cosine * on - beside_wave * sine * beside)
             turns.append(on_wave * sine * on + beside_wave * cosine * beside)
         return np.where(dark, np.float32(0), np.stack(turns))
-
-
-def _interpolated(
-    planes: Float32Array, down: int, across: int, shape: tuple[int, ...], method: int
-) -> Float32Array:
-    """Return planes (k, h, w) with so many rows and columns for each of theirs, cut to `shape`."""
-    fine = np.empty((len(planes), *shape), np.float32)
-    for plane, to in zip(planes, fine, strict=True):
-        size = (plane.shape[1] * across, plane.shape[0] * down)
-        to[:] = cv2.resize(plane, size, interpolation=method)[: shape[0], : shape[1]]
-    return fine
 
 
 def _mean_of_blocks(plane: Array, down: int, across: int) -> Float32Array:
