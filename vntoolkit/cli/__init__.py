@@ -1,8 +1,8 @@
 """Floor 4, the command line: a verb's file is imported only when the verb is called.
 
 A verb is one typed function (`verb.py`): its argument class, composed of the option classes, is the command
-line and the Python call. It calls `pipeline`, `live`, `report` or a stage, and returns what came of it. Its
-command prints. Neither contains an algorithm.
+line and the Python call. It calls `pipeline`, `live`, `report` or a stage, says what came of it, and returns
+it. Only where it is typed as a command is that printed. It contains no algorithm.
 """
 
 import math

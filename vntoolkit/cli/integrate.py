@@ -3,16 +3,16 @@
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import ClassVar
+from typing import Literal
 
-from vntoolkit.cli.output import ProgressBars, print_next
+from vntoolkit.cli.output import ProgressBars, print_next, say
 from vntoolkit.cli.verb import command, verb
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.options.base import File, Named, OptionalFile, Source, named
 from vntoolkit.options.depth import IntegrationOptions, Integrator, IntegratorName, MeshOptions
 from vntoolkit.options.export import NormalConvention, NormalConventionName
-from vntoolkit.options.footage import ReadingLimits
-from vntoolkit.options.reconstruction import Product, ProductName
+from vntoolkit.options.footage import PictureLimits
+from vntoolkit.options.reconstruction import Product
 from vntoolkit.options.shared import FrameOptions
 from vntoolkit.pipeline.integrate_normals import IntegrateJob, integrate_normals
 from vntoolkit.pipeline.opened_result import OpenedResult, open_result
@@ -20,10 +20,8 @@ from vntoolkit.pipeline.outputs import ReconstructionFolder
 
 
 @dataclass(frozen=True, kw_only=True)
-class IntegrateArguments(FrameOptions, IntegrationOptions, MeshOptions, ReadingLimits):
+class IntegrateArguments(FrameOptions, IntegrationOptions, MeshOptions, PictureLimits):
     """What `integrate` takes."""
-
-    WITHOUT: ClassVar[tuple[str, ...]] = ("max_vertices",)
 
     source: Source = field(kw_only=False)
     """A normal map (PNG, TIFF or JPEG of 8 or 16 bits or floats, EXR, NPZ, DiLiGenT's .mat), a folder of
@@ -46,13 +44,18 @@ class IntegrateArguments(FrameOptions, IntegrationOptions, MeshOptions, ReadingL
     of the normals explain; poisson is least squares; cosine and fourier need a full rectangle."""
     distance: float | None = None
     """Distance in metres from a perspective camera to the subject. It fixes the scale."""
-    to: Named[Product, ProductName] = named(Product.MESH)
+    to: Named[Product, Literal["normals", "depth", "mesh"]] = named(Product.MESH)
     """How far to go: depth or mesh."""
     overwrite: bool = False
     """Replace the results that the folder holds."""
 
 
-def _integrated(asked: IntegrateArguments) -> Path:
+@verb(IntegrateArguments)
+def integrate(asked: IntegrateArguments) -> OpenedResult:
+    """Compute depth and meshes from normal maps of any origin.
+
+    The folder is one as `vntoolkit reconstruct` writes: view, report and export read it.
+    """
     job = IntegrateJob(
         source=str(asked.source),
         folder=ReconstructionFolder(root=Path(asked.out)),
@@ -67,24 +70,13 @@ def _integrated(asked: IntegrateArguments) -> Path:
         meshing=asked.part(MeshOptions),
     )
     with ProgressBars() as bars:
-        return integrate_normals(
-            job, overwrite=asked.overwrite, on_start=partial(bars.begin, "integrate"), on_frame=bars.step
-        )
-
-
-@verb(IntegrateArguments)
-def integrate(asked: IntegrateArguments) -> OpenedResult:
-    """Compute depth and meshes from normal maps of any origin.
-
-    The folder is one as `vntoolkit reconstruct` writes: view, report and export read it.
-    """
-    return open_result(_integrated(asked))
-
-
-@command(integrate)
-def integrate_command(asked: IntegrateArguments) -> None:
-    """Print what was written."""
-    folder = _integrated(asked)
-    count = len(open_result(folder).frames)
-    print(f"{folder}: depth of {count} normal map{'' if count == 1 else 's'}")
+        begin = partial(bars.begin, "integrate")
+        folder = integrate_normals(job, overwrite=asked.overwrite, on_start=begin, on_frame=bars.step)
+    result = open_result(folder)
+    count = len(result.frames)
+    say(f"{folder}: depth of {count} normal map{'' if count == 1 else 's'}")
     print_next("view", folder)
+    return result
+
+
+integrate_command = command(integrate)

@@ -2,27 +2,24 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import ClassVar
 
 import numpy as np
 
 from vntoolkit.cli.given import curve_from_text
-from vntoolkit.cli.output import print_next, progress_bar
+from vntoolkit.cli.output import print_next, progress_bar, say
 from vntoolkit.cli.verb import command, verb
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.io.results.folder import write_lock
 from vntoolkit.options.base import File, OptionalFile, named
-from vntoolkit.options.footage import ReadingLimits
+from vntoolkit.options.footage import PictureLimits
 from vntoolkit.options.shared import CurveOptions
 from vntoolkit.pipeline.photometric_stereo import StereoJob
 from vntoolkit.pipeline.photometric_stereo import photometric_stereo as run
 
 
 @dataclass(frozen=True, kw_only=True)
-class PhotometricStereoArguments(CurveOptions, ReadingLimits):
+class PhotometricStereoArguments(CurveOptions, PictureLimits):
     """What `photometric_stereo` takes."""
-
-    WITHOUT: ClassVar[tuple[str, ...]] = ("max_vertices",)
 
     folder: File = field(kw_only=False)
     """A folder of photographs from one place, each under one lamp, or an object of DiLiGenT."""
@@ -36,7 +33,12 @@ class PhotometricStereoArguments(CurveOptions, ReadingLimits):
     """White where the subject is. Default: mask.png in the folder."""
 
 
-def _solved(asked: PhotometricStereoArguments) -> NormalMap:
+@verb(PhotometricStereoArguments)
+def photometric_stereo(asked: PhotometricStereoArguments) -> NormalMap:
+    """Compute normals from photographs under one lamp each; shadowed and glossy samples are left out.
+
+    The folder is laid out as DiLiGenT's results, and `vntoolkit integrate` reads it.
+    """
     job = StereoJob(
         folder=Path(asked.folder),
         out=Path(asked.out),
@@ -45,23 +47,12 @@ def _solved(asked: PhotometricStereoArguments) -> NormalMap:
         transfer=curve_from_text(asked.transfer),
     )
     with write_lock(job.out), progress_bar("photographs", 0) as advance:
-        return run(job, advance)
-
-
-@verb(PhotometricStereoArguments)
-def photometric_stereo(asked: PhotometricStereoArguments) -> NormalMap:
-    """Compute normals from photographs under one lamp each; shadowed and glossy samples are left out.
-
-    The folder is laid out as DiLiGenT's results, and `vntoolkit integrate` reads it.
-    """
-    return _solved(asked)
-
-
-@command(photometric_stereo)
-def photometric_stereo_command(asked: PhotometricStereoArguments) -> None:
-    """Print how much was solved, and how well."""
-    found = _solved(asked)
-    print(f"{asked.out}: {int(found.mask.sum())} normals")
+        found = run(job, advance)
+    say(f"{asked.out}: {int(found.mask.sum())} normals")
     if found.error_deg is not None:
-        print(f"expected error: {np.median(found.error_deg[found.mask]):.1f} degrees, the median")
+        say(f"expected error: {np.median(found.error_deg[found.mask]):.1f} degrees, the median")
     print_next("integrate", str(asked.out), "--out", "result")
+    return found
+
+
+photometric_stereo_command = command(photometric_stereo)

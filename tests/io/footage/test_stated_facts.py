@@ -292,9 +292,9 @@ def test_times_that_cannot_be_are_said_with_what_is_done_instead(tmp_path, caplo
 
 
 def test_falling_times_are_told_from_frames_that_are_stored_out_of_order():
-    packets = video._Packets(frames=[(9, True, None), (5, True, None), (0, True, None)])
+    packets = [(9, True, None), (5, True, None), (0, True, None)]
     assert video._wrong_with_times(packets) == "the file's times fall from one frame to the next"
-    builds_on_later = video._Packets(frames=[(0, True, None), (9, False, None), (5, False, None)])
+    builds_on_later = [(0, True, None), (9, False, None), (5, False, None)]
     assert video._wrong_with_times(builds_on_later) == ""
 
 
