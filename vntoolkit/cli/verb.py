@@ -229,7 +229,8 @@ def meanings_of_fields(arguments: Any) -> dict[str, str]:
     for kind in reversed(arguments.__mro__):
         if not dataclasses.is_dataclass(kind):
             continue
-        body = ast.parse(textwrap.dedent(inspect.getsource(kind))).body[0]
+        source: Any = kind
+        body = ast.parse(textwrap.dedent(inspect.getsource(source))).body[0]
         assert isinstance(body, ast.ClassDef)
         for field, below in pairwise(body.body):
             if isinstance(field, ast.AnnAssign) and isinstance(below, ast.Expr):
@@ -252,9 +253,10 @@ def _require_new_outputs(asked: Any) -> None:
         for name, path in given.items()
         if name in _OUTPUTS and name in flags and isinstance(path, Path)
     }
+    kind: Any = type(asked)
     read = [
         (name, str(path))
-        for name, hint in hints_of(type(asked)).items()
+        for name, hint in hints_of(kind).items()
         if name not in written and (name == "footage" or "PathLike" in str(hint))
         for path in (given[name] if isinstance(given[name], tuple) else (given[name],))
         if path is not None and str(path)
