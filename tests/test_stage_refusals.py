@@ -16,7 +16,7 @@ from vntoolkit.errors import (
     MissingDependency,
     SolverFailed,
 )
-from vntoolkit.evaluation.cylinder_fit import axis_from_normals, fit_cylinder
+from vntoolkit.evaluation.cylinder_fit import axis_from_normals
 from vntoolkit.evaluation.track_error import anchors_on_mesh
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.garment_fit import GarmentFit
@@ -68,18 +68,6 @@ def test_balls_that_are_not_in_sight():
 
 
 def test_cylinders_that_are_none(rng):
-    flat, nothing = flat_map(), np.zeros((48, 64))
-    for frames, error, line in (
-        ([], BadInput, "cylinder: the sequence has no frame"),
-        ([(flat, nothing)], BadInput, "frame 0 has 0 valid normals, at least [0-9]+ are needed"),
-        (
-            [(flat, np.ones((48, 64)))],
-            (BadInput, SolverFailed),
-            "frame 0 (has no|shows a plane)",
-        ),
-    ):
-        with pytest.raises(error, match=line):
-            fit_cylinder(frames, ORTHOGRAPHIC, rng)
     with pytest.raises(SolverFailed, match="frame 3 shows a plane, its normals span no axis"):
         axis_from_normals(np.tile([0, 0, -1.0], (99, 1)), 0.1, rng, "frame 3")
     every = rng.normal(size=(4000, 3))
