@@ -33,7 +33,7 @@ from vntoolkit.options.simulation import Nuisances, SceneOptions
 from vntoolkit.photometry.frame import LinearFrame, count_lit, lit_from_labels
 from vntoolkit.photometry.levelling import Leveller
 from vntoolkit.shadows.detector import ShadowDetector
-from vntoolkit.shadows.recovery import recover_normals, recover_surface
+from vntoolkit.shadows.recovery import recover_normals
 from vntoolkit.simulation.image_formation import true_response, true_varying_response
 from vntoolkit.simulation.render import FrameTruth, SimulatedFrame, render_frame
 from vntoolkit.simulation.scene import build_scene
@@ -153,9 +153,9 @@ def stages(capture: ReferencedCapture, camera: Camera, repeats: int = 8) -> None
         ticks = [time.perf_counter()]
         labels = detector.labels(capture.frame, mask)
         ticks.append(time.perf_counter())
-        found = recover_surface(capture.frame, labels, response, mask, camera, start=detector.surface)
+        found = recover_normals(capture.frame, labels, response, mask, camera, start=detector.surface)
         ticks.append(time.perf_counter())
-        normals = with_expected_error(found.normal_map, capture.frame, response, labels, camera)
+        normals = with_expected_error(found, capture.frame, response, labels, camera)
         ticks.append(time.perf_counter())
         depth = integrator.integrate(normals)
         ticks.append(time.perf_counter())

@@ -10,9 +10,7 @@ from vntoolkit.pipeline.truth_comparison import compare_with_truth, light_errors
 
 
 @pytest.mark.slow
-def test_the_demonstration_reconstructs_what_it_simulated(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_demonstration_reconstructs_what_it_simulated(tmp_path, capsys):
     out = tmp_path / "demo"
     assert main(["demo", "--out", str(out), "--frames", "2"]) == 0
     printed = capsys.readouterr().out

@@ -12,7 +12,8 @@ from pathlib import Path
 import pytest
 
 import vntoolkit
-from tests.readme_commands import ROOT, Step, run_step, steps_of
+from tests.readme_commands import ROOT, run_step, steps_of
+from tests.test_readme import film
 from vntoolkit import errors
 from vntoolkit.cli import GROUPS, VERBS
 from vntoolkit.diagnosis.table import CHECK_NAMES
@@ -59,13 +60,13 @@ def test_the_navigation_names_every_page() -> None:
     assert sorted(NAVIGATION) == sorted(path.name for path in DOCS.glob("*.md"))
 
 
-@pytest.mark.parametrize("page", sorted(DOCS.glob("*.md")), ids=lambda page: page.stem)
+@pytest.mark.parametrize("page", [ROOT / "README.md", *sorted(DOCS.glob("*.md"))], ids=lambda page: page.stem)
 def test_every_verb_that_a_page_names_is_there(page: Path) -> None:
     text = page.read_text()
     printed = "\n".join(
         re.findall(r"`(vntoolkit [^`\n]+)`", text) + re.findall(r"(?ms)^```\w+\n(.*?)^```", text)
     )
-    for verb, second in re.findall(r"(?m)^vntoolkit ([a-z]+)(?: ([a-z]+))?", printed):
+    for verb, second in re.findall(r"(?m)^vntoolkit ([a-z][a-z-]*)(?: ([a-z]+))?", printed):
         assert verb in VERBS or verb in GROUPS, f"{page.name} names `vntoolkit {verb}`"
         if verb in GROUPS and second:
             assert f"{verb} {second}" in VERBS, f"{page.name} names `vntoolkit {verb} {second}`"
@@ -81,9 +82,7 @@ def test_the_licences_are_those_of_the_lock() -> None:
 def studio(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("site")
     for name, (scene, frames) in FILMED.items():
-        film = f"vntoolkit simulate {scene} --out .{scene} --frames {frames} --field-width-m 1.42"
-        run_step(Step("sh", film, 0), folder)
-        (folder / f".{scene}" / "capture.mkv").rename(folder / name)
+        film(folder, name, scene, frames)
     return folder
 
 

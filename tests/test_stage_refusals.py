@@ -16,15 +16,13 @@ from vntoolkit.errors import (
     MissingDependency,
     SolverFailed,
 )
-from vntoolkit.evaluation.cylinder_fit import axis_from_normals, fit_cylinder
+from vntoolkit.evaluation.cylinder_fit import axis_from_normals
 from vntoolkit.evaluation.track_error import anchors_on_mesh
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.garment_fit import GarmentFit
 from vntoolkit.geometry.maps import DepthMap, NormalMap
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.motion import Motion, Skeleton
-from vntoolkit.integration.discontinuity import hierarchy_from_graph, solve_laplacian
-from vntoolkit.integration.edges import graph_from_domain
 from vntoolkit.io.maps_and_meshes.usd import write_usd_sequence
 from vntoolkit.meshing.clean import clean_mesh
 from vntoolkit.options.calibration import FitMethod, ResponseFitOptions
@@ -70,18 +68,6 @@ def test_balls_that_are_not_in_sight():
 
 
 def test_cylinders_that_are_none(rng):
-    flat, nothing = flat_map(), np.zeros((48, 64))
-    for frames, error, line in (
-        ([], BadInput, "cylinder: the sequence has no frame"),
-        ([(flat, nothing)], BadInput, "frame 0 has 0 valid normals, at least [0-9]+ are needed"),
-        (
-            [(flat, np.ones((48, 64)))],
-            (BadInput, SolverFailed),
-            "frame 0 (has no|shows a plane)",
-        ),
-    ):
-        with pytest.raises(error, match=line):
-            fit_cylinder(frames, ORTHOGRAPHIC, rng)
     with pytest.raises(SolverFailed, match="frame 3 shows a plane, its normals span no axis"):
         axis_from_normals(np.tile([0, 0, -1.0], (99, 1)), 0.1, rng, "frame 3")
     every = rng.normal(size=(4000, 3))
@@ -202,16 +188,6 @@ def test_a_library_that_only_the_loader_names_is_named(monkeypatch, said, line):
     monkeypatch.setattr(native.importlib, "import_module", refuse)
     with pytest.raises(MissingDependency, match=rf"pymeshlab needs {said.split(':')[0]}, .*: {line}"):
         native.import_pymeshlab()
-
-
-def test_a_linear_solver_that_runs_out_of_iterations(rng):
-    graph = graph_from_domain(np.ones((64, 64), dtype=bool))
-    hierarchy = hierarchy_from_graph(graph.row_start, graph.neighbour, np.ones(len(graph.neighbour)))
-    load = rng.normal(size=64 * 64)
-    with pytest.raises(
-        SolverFailed, match=r"reached a relative residual of .* in 1 iterations: raise most_it"
-    ):
-        solve_laplacian(hierarchy, load - load.mean(), np.zeros(64 * 64), tolerance=1e-12, most_iterations=1)
 
 
 def test_usd_files_that_hold_no_surface_of_ours(tmp_path):

@@ -43,7 +43,9 @@ if TYPE_CHECKING:  # what editors and type checkers know; a test holds it to the
     from vntoolkit.cli.evaluate import evaluate_normal_files as evaluate_normal_files
     from vntoolkit.cli.evaluate import evaluate_tracks as evaluate_tracks
     from vntoolkit.cli.export import export as export
+    from vntoolkit.cli.integrate import integrate as integrate
     from vntoolkit.cli.live import watch as watch
+    from vntoolkit.cli.photometric_stereo import photometric_stereo as photometric_stereo
     from vntoolkit.cli.recipe import run_recipe as run_recipe
     from vntoolkit.cli.reconstruct import reconstruct as reconstruct
     from vntoolkit.cli.report import write_report as write_report
@@ -177,6 +179,8 @@ _PUBLIC = {
     "calibrate_presses": "vntoolkit.cli.calibrate",
     "rectify": "vntoolkit.cli.calibrate",
     "reconstruct": "vntoolkit.cli.reconstruct",
+    "photometric_stereo": "vntoolkit.cli.photometric_stereo",
+    "integrate": "vntoolkit.cli.integrate",
     "track": "vntoolkit.cli.track",
     "session": "vntoolkit.cli.session",
     "view": "vntoolkit.cli.view",

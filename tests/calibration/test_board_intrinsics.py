@@ -40,9 +40,7 @@ def test_all_four_terms_of_distortion_come_back_in_their_order(rng: np.random.Ge
     np.testing.assert_allclose(camera.distortion, DISTORTION, rtol=0.1)
 
 
-def test_terms_that_are_not_asked_for_stay_zero(
-    rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_terms_that_are_not_asked_for_stay_zero(rng, monkeypatch):
     seen = sightings(rng)
     one = fit_camera(seen, LAYOUT, (640, 480), IntrinsicsOptions(radial_terms=1))
     assert one.distortion[0] != 0

@@ -49,6 +49,21 @@ def found_with(poses):
     return find_again(views_of(poses), details, mesh, mesh.vertices[::6])
 
 
+def motion_of(poses, points, offered, turn_deg):
+    return HeadMotion(
+        camera=CAMERA,
+        camera_from_head=tuple(poses),
+        interpolated=np.zeros(FRAMES, np.bool_),
+        reference=FRAMES // 2,
+        points_in_head=points,
+        point=offered,
+        offered=offered,
+        turn_deg=turn_deg,
+        error_px=0.3,
+        observations=9000,
+    )
+
+
 def test_points_are_found_again_where_they_are_however_far_the_head_has_turned():
     poses = drifted(0.5)
     tracks, points, _ = found_with(poses)
@@ -84,18 +99,7 @@ def test_poses_that_drifted_come_right():
     poses = drifted(0.5)
     tracks, points, track = found_with(poses)
     offered = np.arange(6000)[::6]
-    motion = HeadMotion(
-        camera=CAMERA,
-        camera_from_head=tuple(poses),
-        interpolated=np.zeros(FRAMES, np.bool_),
-        reference=FRAMES // 2,
-        points_in_head=egg().vertices[::6],
-        point=offered,
-        offered=offered,
-        turn_deg=121.0,
-        error_px=0.3,
-        observations=9000,
-    )
+    motion = motion_of(poses, egg().vertices[::6], offered, 121.0)
     settled, moved = adjust_head_motion(motion, tracks, points, track)
 
     def waves_deg(found):  # of an egg as small, how far all of it turns is known to half a percent only
@@ -113,18 +117,7 @@ def test_poses_that_drifted_come_right():
 def test_too_few_patches_leave_the_motion_as_it_is():
     tracks, points, track = found_with(POSES)
     few = np.arange(tracks.point_count) < 20
-    motion = HeadMotion(
-        camera=CAMERA,
-        camera_from_head=tuple(POSES),
-        interpolated=np.zeros(FRAMES, np.bool_),
-        reference=FRAMES // 2,
-        points_in_head=egg().vertices,
-        point=np.arange(6000),
-        offered=np.arange(6000),
-        turn_deg=120.0,
-        error_px=0.3,
-        observations=9000,
-    )
+    motion = motion_of(POSES, egg().vertices, np.arange(6000), 120.0)
     settled, moved = adjust_head_motion(motion, tracks.of_points(few), points[few], track[few])
     assert settled is motion
     assert moved.apply(points) == pytest.approx(points)

@@ -143,5 +143,3 @@ def test_refusals():
     camera = Camera.orthographic(width=640, height=480)
     with pytest.raises(BadInput, match="perspective"):
         solve_head_motion(tracks, camera, PoseOptions(), np.random.default_rng(0))
-    with pytest.raises(BadInput, match="least turn"):
-        PoseOptions(least_turn_deg=0)

@@ -9,6 +9,7 @@ from tests.calibration.turning_egg import (
     DISTANCE,
     MATRIX,
     egg_surface,
+    relative_error,
     render_egg,
     turning_poses,
 )
@@ -29,11 +30,6 @@ PIXEL = DISTANCE / SMALL.matrix[0, 0]
 
 POSES = turning_poses(9, 60.0)
 WRONG = MATRIX * [[1.2, 0.9, 1.0], [1.0, 1.0, 1.06], [0.5, 1.1, 0.95]]
-
-
-def relative_error(matrix):
-    scale = (matrix * MATRIX).sum() / np.square(matrix).sum()
-    return np.linalg.norm(scale * matrix - MATRIX) / np.linalg.norm(MATRIX)
 
 
 def rippled_egg(height):

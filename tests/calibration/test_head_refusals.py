@@ -10,7 +10,7 @@ from vntoolkit.calibration.head.light import fit_light
 from vntoolkit.calibration.head.samples import HeadSamples
 from vntoolkit.calibration.head.silhouettes import Silhouette, find_silhouette, require_head
 from vntoolkit.calibration.head.tracks import Tracks, require_tracks
-from vntoolkit.errors import BadCalibration, BadInput
+from vntoolkit.errors import BadCalibration
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.rigid import RigidTransform
 from vntoolkit.options.head import LightOptions, SilhouetteOptions
@@ -42,8 +42,6 @@ def test_pictures_without_one_whole_head(seen, line):
     require_head([silhouette(0.3)] * 9)
     with pytest.raises(BadCalibration, match=f"silhouettes: {line}"):
         require_head([seen] * 9)
-    with pytest.raises(BadInput, match="silhouette threshold: expected 0 to 1, got 2"):
-        SilhouetteOptions(threshold=2.0)
 
 
 def test_an_uneven_backdrop_is_warned_of(caplog):

@@ -9,6 +9,7 @@ from tests.calibration.turning_egg import (
     CAMERA,
     DISTANCE,
     MATRIX,
+    relative_error,
     render_egg,
     turning_poses,
 )
@@ -25,17 +26,12 @@ from vntoolkit.calibration.head.samples import HeadRays, HeadSamples, spread_ove
 from vntoolkit.calibration.head.sift import joined_matches
 from vntoolkit.calibration.head.silhouettes import find_silhouette
 from vntoolkit.calibration.head.tracks import TrackBuilder, local_contrast
-from vntoolkit.errors import BadCalibration, BadInput
+from vntoolkit.errors import BadCalibration
 from vntoolkit.geometry.mesh import Mesh, vertex_normals
 from vntoolkit.options.calibration import ResponseModel
 from vntoolkit.options.head import HullOptions, LightOptions, SilhouetteOptions, TrackOptions
 
 POSES = turning_poses(13, 80.0)
-
-
-def relative_error(matrix):
-    scale = (matrix * MATRIX).sum() / np.square(matrix).sum()
-    return np.linalg.norm(scale * matrix - MATRIX) / np.linalg.norm(MATRIX)
 
 
 def test_smooth_light_leaves_local_contrast_as_it_is():
@@ -75,8 +71,6 @@ def test_silhouette_is_the_eggs_outline():
     assert 0.97 * area < found.mask.sum() < 1.03 * area
     assert found.rival_share == 0.0
     assert found.cut_share == 0.0
-    with pytest.raises(BadInput, match="threshold"):
-        SilhouetteOptions(threshold=2.0)
 
 
 @pytest.mark.parametrize("glow", [0.0, 0.004])

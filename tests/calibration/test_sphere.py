@@ -8,7 +8,6 @@ from vntoolkit.calibration.ball_outline import Circle, find_ball_outline, outlin
 from vntoolkit.calibration.sphere import fit_response_to_sphere, sphere_normals
 from vntoolkit.errors import BadCalibration, BadInput
 from vntoolkit.geometry.camera import Camera
-from vntoolkit.options.calibration import SphereOptions
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
 
@@ -120,8 +119,6 @@ def test_refusals(rng) -> None:
     grey = LinearFrame(rgb=np.repeat(frame.rgb[..., :1], 3, axis=2), clipped=frame.clipped)
     with pytest.raises(BadCalibration, match="singular"):
         fit_response_to_sphere(grey, camera, mask)
-    with pytest.raises(BadInput, match="rim share"):
-        SphereOptions(rim_share=0.7)
 
 
 def test_a_mask_beside_the_ball_is_refused(rng) -> None:

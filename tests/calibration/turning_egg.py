@@ -21,6 +21,12 @@ MATRIX = np.array([[-0.12, 0.05, -0.55], [0.13, 0.06, -0.5], [0.01, -0.17, -0.45
 BACKGROUND = 0.004
 
 
+def relative_error(matrix: np.ndarray) -> float:
+    """Return how far M is from the true one, whatever its scale."""
+    scale = (matrix * MATRIX).sum() / np.square(matrix).sum()
+    return np.linalg.norm(scale * matrix - MATRIX) / np.linalg.norm(MATRIX)
+
+
 def turning_poses(frames: int, widest_deg: float) -> list[RigidTransform]:
     angles = np.deg2rad(np.linspace(-widest_deg, widest_deg, frames))
     return [

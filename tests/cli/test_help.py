@@ -14,9 +14,7 @@ def help_of(verb: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.M
     return capsys.readouterr().out
 
 
-def test_the_list_gives_each_verb_a_line(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_list_gives_each_verb_a_line(capsys, monkeypatch):
     text = help_of("", capsys, monkeypatch)
     assert "Show normals and the surface of a camera live." in text
     assert "Frames that come too fast" not in text
@@ -36,9 +34,7 @@ def test_the_list_gives_each_verb_a_line(
         ("evaluate tracks", "A vertex counts in a frame if its true point is visible there"),
     ],
 )
-def test_a_verb_tells_its_whole_story(
-    verb: str, told: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_verb_tells_its_whole_story(verb, told, capsys, monkeypatch):
     text = help_of(verb, capsys, monkeypatch)
     assert told in text
     assert "default: None" not in text
@@ -46,9 +42,7 @@ def test_a_verb_tells_its_whole_story(
     assert 'default: ""' not in text
 
 
-def test_defaults_that_mean_something_are_shown(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_defaults_that_mean_something_are_shown(capsys, monkeypatch):
     text = help_of("export", capsys, monkeypatch)
     assert "[default: opengl]" in text
     assert "[choices: y, z] [default: y]" in text
@@ -68,8 +62,6 @@ def test_every_verb_has_an_example_that_it_takes(verb: str) -> None:
     build_app(words).parse_args(words, exit_on_error=False, print_error=False)
 
 
-def test_help_ends_with_the_example(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_help_ends_with_the_example(capsys, monkeypatch):
     assert help_of("track", capsys, monkeypatch).rstrip().endswith("Example: vntoolkit track result")
     assert "Example: " in help_of("calibrate board", capsys, monkeypatch).splitlines()[-1]

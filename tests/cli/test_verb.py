@@ -1,6 +1,7 @@
 """A verb is made of its argument class: the fields are its flags, the docstrings beneath them its help."""
 
 import dataclasses
+from functools import partial
 from typing import ClassVar
 
 import pytest
@@ -45,7 +46,7 @@ def draw(asked: DrawArguments) -> DrawArguments:
     return asked
 
 
-@command(draw)
+@partial(command, draw)
 def draw_command(asked: DrawArguments) -> DrawArguments:
     """Return what was asked."""
     return asked

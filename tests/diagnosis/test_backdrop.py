@@ -1,7 +1,5 @@
 """A wall that counts as subject is told by its bounds, and a mask of the subject is proposed."""
 
-from pathlib import Path
-
 import cv2
 import numpy as np
 import pytest
@@ -58,9 +56,7 @@ def test_wide_bounds_within_a_masked_subject_name_no_wall() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["buddha", "cat"])
-def test_the_wall_behind_real_statues_is_named_with_a_mask(
-    name: str, real_data: Path, tmp_path: Path
-) -> None:
+def test_the_wall_behind_real_statues_is_named_with_a_mask(name, real_data, tmp_path):
     folder, rig = real_data / "coloured_light", str(tmp_path / "rig.json")
     ball = ["calibrate", "sphere", str(folder / "gray_sphere.png"), "--transfer", "linear", "--out", rig]
     assert main([*ball, "--mask", str(folder / "gray_sphere.mask.png")]) == 0

@@ -10,7 +10,6 @@ from vntoolkit.cli.output import print_table
 from vntoolkit.diagnosis.finding import Level
 from vntoolkit.diagnosis.inspection import findings_from_clipping, inspect_capture
 from vntoolkit.diagnosis.rig_checks import check_camera
-from vntoolkit.errors import BadCapture
 from vntoolkit.geometry.camera import Camera, CameraModel
 from vntoolkit.io.footage.images import read_image, write_png
 from vntoolkit.io.footage.video import write_video
@@ -192,8 +191,3 @@ def test_cameras_that_no_lens_can_be_are_named(rig):
         assert line in problem
     (problem,) = found([[50.0, 0, 47.5], [0, 50.0, 35.5], [0, 0, 1]], CameraModel.OPENCV, (-0.5, 0, 0, 0))
     assert "folds" in problem
-
-
-def test_a_missing_file_is_one_line(tmp_path):
-    with pytest.raises(BadCapture, match="no such file"):
-        inspect_capture(tmp_path / "none.png")

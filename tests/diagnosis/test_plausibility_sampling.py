@@ -1,10 +1,10 @@
 """Plausibility looks at few frames, quick to reach, and at few pixels of a large one, and still sees."""
 
-import av
 import numpy as np
 import pytest
 
 from tests.faults.simulated_captures import simulate_capture
+from tests.io.footage.test_stated_facts import film
 from vntoolkit.diagnosis import evidence
 from vntoolkit.diagnosis.evidence import averaged_down
 from vntoolkit.diagnosis.inspection import examine_capture, frames_to_compare
@@ -21,13 +21,7 @@ def camera_video(tmp_path_factory):
     """40 frames of H.264, key frames 0 and 25."""
     path = tmp_path_factory.mktemp("camera") / "a.mp4"
     options = {"g": "25", "keyint_min": "25", "sc_threshold": "0"}
-    with av.open(str(path), "w") as container:
-        stream = container.add_stream("libx264", rate=30, options=options)
-        stream.width, stream.height, stream.pix_fmt = 48, 32, "yuv444p"
-        for k in range(40):
-            picture = np.full((32, 48, 3), 3 * k, np.uint8)
-            container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
-        container.mux(stream.encode())
+    film(path, [np.full((32, 48, 3), 3 * k, np.uint8) for k in range(40)], "libx264", "yuv444p", **options)
     return open_capture(path)
 
 

@@ -82,9 +82,7 @@ def poses(count: int) -> list[tuple[np.ndarray, np.ndarray]]:
         pytest.param(ORTHOGRAPHIC, marks=pytest.mark.slow, id="orthographic"),
     ],
 )
-def test_pose_and_radius_are_found_under_noise_and_wrong_normals(
-    camera: Camera, rng: np.random.Generator
-) -> None:
+def test_pose_and_radius_are_found_under_noise_and_wrong_normals(camera, rng):
     truths = poses(3)
     frames = []
     for axis, centre in truths:
@@ -119,17 +117,17 @@ def test_refusals(rng: np.random.Generator) -> None:
     axis, centre = poses(3)[1]
     exact = trace(PINHOLE, axis, centre)
     empty = NormalMap(normals_in_camera=exact.normals_in_camera, mask=np.zeros_like(exact.mask))
-    with pytest.raises(BadInput, match="frame 0 has 0 valid normals"):
+    with pytest.raises(BadInput, match=r"frame 0 has 0 valid normals, at least [0-9]+ are needed"):
         fit_cylinder([(empty, exact.mask)], PINHOLE, rng)
     line = NormalMap(normals_in_camera=np.tile([0, 0, -1.0], (1, 300, 1)), mask=np.ones((1, 300), bool))
     thin = Camera.pinhole(width=300, height=1, focal_px=400.0)
     with pytest.raises(BadInput, match="frame 0 has no usable silhouette"):
         fit_cylinder([(line, line.mask)], thin, rng)
-    with pytest.raises(BadInput, match="has no frame"):
+    with pytest.raises(BadInput, match="cylinder: the sequence has no frame"):
         fit_cylinder([], PINHOLE, rng)
     flat = np.zeros_like(exact.normals_in_camera)
     flat[..., 2] = -1
-    with pytest.raises(SolverFailed, match="shows a plane"):
+    with pytest.raises(SolverFailed, match="frame 0 shows a plane"):
         fit_cylinder([(NormalMap(normals_in_camera=flat, mask=exact.mask), exact.mask)], PINHOLE, rng)
 
 

@@ -12,19 +12,15 @@ import numpy as np
 import pytest
 from interruptions import Verb, content_of, interrupt_often, lines_of, run_until
 
+from tests.pipeline.conftest import RESPONSE, RIG, SIZE
 from tests.result_files import write_mesh_sequence
-from vntoolkit.geometry.camera import Camera
 from vntoolkit.io.footage.images import write_png
 from vntoolkit.io.rigs import write_rig
-from vntoolkit.photometry.response import LightResponse, rgb_from_normals
-from vntoolkit.photometry.rig import Rig
+from vntoolkit.photometry.response import rgb_from_normals
 
 pytestmark = pytest.mark.slow
 KILLS = int(os.environ.get("VNTOOLKIT_KILLS", "4"))
-H, W = 48, 64
-RESPONSE = LightResponse(
-    matrix=np.array([[0.35, -0.02, -0.5], [-0.17, 0.3, -0.48], [-0.15, -0.28, -0.52]]),
-)
+H, W = SIZE
 
 
 def _write_waves(folder: Path, count: int) -> None:
@@ -33,12 +29,8 @@ def _write_waves(folder: Path, count: int) -> None:
     v, u = np.mgrid[:H, :W].astype(float)
     for number in range(count):
         at = u - 0.2 * number
-        slopes = [
-            0.4 * np.cos(at / 6) * np.cos(v / 9),
-            -0.3 * np.sin(at / 6) * np.sin(v / 9),
-            -np.ones((H, W)),
-        ]
-        normals = np.stack(slopes, axis=-1)
+        p, q = 0.4 * np.cos(at / 6) * np.cos(v / 9), -0.3 * np.sin(at / 6) * np.sin(v / 9)
+        normals = np.stack([p, q, -np.ones((H, W))], axis=-1)
         normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
         rgb = np.clip(rgb_from_normals(normals, RESPONSE), 0, 1)
         write_png(folder / f"f{number:03d}.png", np.round(rgb * 65535).astype(np.uint16))
@@ -50,8 +42,7 @@ def waves(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("waves")
     _write_waves(folder / "long", 200)
     _write_waves(folder / "short", 24)
-    camera = Camera.orthographic(width=W, height=H)
-    write_rig(folder / "rig.json", Rig(camera=camera, response=RESPONSE))
+    write_rig(folder / "rig.json", RIG)
     return folder
 
 

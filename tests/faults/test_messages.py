@@ -1,7 +1,6 @@
 """Every error's message is one printable line of bounded length, whatever a file or a flag put into it."""
 
 import ast
-import json
 import logging
 import pickle
 import subprocess
@@ -16,10 +15,9 @@ from vntoolkit import cli
 from vntoolkit.__main__ import main
 from vntoolkit.cli.messages import OneLineFormatter
 from vntoolkit.cli.output import print_next, print_table, say
-from vntoolkit.errors import LONGEST_MESSAGE, BadCapture, BadInput, BadRig, CannotWrite, VntError
+from vntoolkit.errors import LONGEST_MESSAGE, BadCapture, BadInput, CannotWrite, VntError
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.io.maps_and_meshes.usd import write_usd_sequence
-from vntoolkit.io.rigs import rig_from_text
 
 HOSTILE = "x\n\x1b[31mRED"
 
@@ -86,11 +84,6 @@ def test_warnings_of_libraries_do_not_reach_the_terminal(tmp_path):
     command = [sys.executable, "-c", code, str(tmp_path / "a.npy")]
     run = subprocess.run(command, capture_output=True, text=True, check=False)
     assert (run.returncode, run.stderr) == (0, "")
-
-
-def test_a_version_that_is_a_text_is_called_one():
-    with pytest.raises(BadRig, match='rig: version: expected a number, got "1"'):
-        rig_from_text(json.dumps({"version": "1"}))
 
 
 def test_a_constructor_is_called_by_its_class():

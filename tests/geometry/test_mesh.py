@@ -1,7 +1,6 @@
 import numpy as np
 import pytest
 
-from vntoolkit.errors import BadMesh
 from vntoolkit.geometry.mesh import Mesh, MeshSequence, vertex_normals
 from vntoolkit.geometry.point_cloud import PointCloud
 
@@ -61,12 +60,3 @@ def test_sequence_gives_meshes(tetrahedron: Mesh) -> None:
     assert len(sequence) == 2
     np.testing.assert_array_equal(sequence[1].vertices, VERTICES + 1)
     assert [mesh.diagonal for mesh in sequence] == pytest.approx([np.sqrt(3)] * 2)
-
-
-def test_refusals(tetrahedron: Mesh) -> None:
-    with pytest.raises(BadMesh, match="outside the 4 vertices"):
-        Mesh(vertices=VERTICES, faces=np.array([[0, 1, 4]]))
-    with pytest.raises(BadMesh, match="NaN"):
-        Mesh(vertices=VERTICES * np.nan, faces=FACES)
-    with pytest.raises(BadMesh, match="moving vertices: expected shape any × 4 × 3"):
-        MeshSequence(template=tetrahedron, vertices=np.zeros((2, 5, 3)))

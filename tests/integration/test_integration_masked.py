@@ -7,8 +7,7 @@ from analytic_surfaces import disc_with_hole, largest_error, normals_from_gradie
 from vntoolkit.errors import SolverFailed
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import NormalMap
-from vntoolkit.integration.discontinuity import hierarchy_from_graph, solve_laplacian
-from vntoolkit.integration.edges import divergence_on_graph, edges_from_slopes, graph_from_domain
+from vntoolkit.integration.edges import EdgeField, edges_from_slopes, weight_of_edges
 from vntoolkit.integration.integrate import DepthIntegrator
 from vntoolkit.integration.poisson import MaskedSolver
 from vntoolkit.options.depth import IntegrationOptions, Integrator
@@ -115,33 +114,31 @@ def test_running_out_of_iterations_is_said():
         integrator_of(mask, options).integrate(NormalMap(normals_in_camera=normals, mask=mask))
 
 
-def weights_at_random(graph, rng):
+def weights_at_random(weight, rng):
     """Two orders of magnitude between neighbours: more than confidence does."""
-    return 10.0 ** rng.uniform(-2, 0, len(graph.tail))
+    return weight * 10.0 ** rng.uniform(-2, 0, weight.shape)
 
 
-def weights_with_a_cut(graph, rng):
-    """A disc that hangs on its surroundings by edges a thousand million times weaker than the others."""
-    inside = np.hypot(graph.pixels % 50 - 22, graph.pixels // 50 - 17) < 11.3
-    weight = rng.uniform(0.5, 1.0, len(graph.tail))
-    weight[inside[graph.tail] != inside[graph.head]] = 1e-9
+def weights_with_a_cut(weight, rng):
+    """A disc that hangs on its surroundings by edges ten thousand times weaker than the others."""
+    v, u = np.mgrid[:40, :50]
+    disc = np.hypot(u - 22, v - 17) < 11.3
+    weight = weight * rng.uniform(0.5, 1.0, weight.shape)
+    weight[0, :, :-1][disc[:, 1:] != disc[:, :-1]] = 1e-4
+    weight[1, :-1][disc[1:] != disc[:-1]] = 1e-4
     return weight
 
 
 @pytest.mark.parametrize("make_weights", [weights_at_random, weights_with_a_cut])
-def test_multigrid_finds_the_potential_of_its_load(make_weights, rng):
-    graph = graph_from_domain(rng.random((40, 50)) < 0.9)
-    weight = make_weights(graph, rng)
-    truth = rng.normal(size=len(graph.pixels))
-    wanted = truth[graph.head] - truth[graph.tail]
-    hierarchy = hierarchy_from_graph(graph.row_start, graph.neighbour, weight[graph.edge])
-    found, iterations = solve_laplacian(
-        hierarchy,
-        divergence_on_graph(graph, weight, wanted),
-        np.zeros(len(truth)),
-        tolerance=1e-10,
-        most_iterations=200,
-    )
-    misfit = (found[graph.head] - found[graph.tail]) - wanted
-    assert (weight * misfit**2).sum() < 1e-18 * (weight * wanted**2).sum()
-    assert iterations < 60
+def test_multigrid_finds_the_depth_of_its_differences(make_weights, rng):
+    mask = rng.random((40, 50)) < 0.9
+    weight = make_weights(weight_of_edges(mask), rng).astype(np.float32)
+    truth, wanted = rng.normal(size=mask.shape), np.zeros((2, *mask.shape), np.float32)
+    wanted[0, :, :-1], wanted[1, :-1] = np.diff(truth, axis=1), np.diff(truth, axis=0)
+    solver = MaskedSolver(mask, tolerance=1e-7, most_iterations=100)
+    found = solver.solve(EdgeField(difference=wanted, weight=weight), weighted=True)
+    misfit = np.zeros_like(wanted)
+    misfit[0, :, :-1], misfit[1, :-1] = np.diff(found, axis=1), np.diff(found, axis=0)
+    misfit -= wanted
+    assert (weight * misfit**2).sum() < 1e-11 * (weight * wanted**2).sum()
+    assert solver.iterations < 60

@@ -127,6 +127,9 @@ def _changed(rig, *path, value):
         (("colour", "order"), "bgr", r"colour\.order: input should be 'rgb'"),
         (("sources", 0, "sha256"), "12", r"sources\.0\.sha256"),
         (("version",), 9, "is of version 9, this program reads 1 to 8"),
+        (("version",), True, "version: expected a number, got true"),
+        (("version",), "1", 'version: expected a number, got "1"'),
+        (("camera", "K", 0, 0), 1e300, "expected numbers up to 1e"),
     ],
 )
 def test_a_bad_rig_is_one_line_that_names_the_key(rig, path, value, line):
@@ -138,7 +141,15 @@ def test_a_bad_rig_is_one_line_that_names_the_key(rig, path, value, line):
 
 @pytest.mark.parametrize(
     ("text", "line"),
-    [("", "is empty"), ("{", "is not JSON"), ("[]", "expected a JSON object"), ("{}", "'camera' is missing")],
+    [
+        ("", "is empty"),
+        ("{", "is not JSON"),
+        ("[]", "expected a JSON object"),
+        ("{}", "'camera' is missing"),
+        ("[" * 100_000, "brackets are nested too deeply"),
+        ('{"version": ' + "9" * 5000 + "}", "but this is not JSON: Exceeds the limit"),
+        ('{"a": 1, "a": 2}', "the key 'a' stands there twice"),
+    ],
 )
 def test_what_is_no_rig_is_one_line(tmp_path, text, line):
     (tmp_path / "rig.json").write_text(text)

@@ -10,11 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.pipeline.conftest import RESPONSE, dome_normals
+from tests.pipeline.conftest import RESPONSE, RIG, dome_light, dome_normals
 from vntoolkit.__main__ import main
 from vntoolkit.cli.live import _keys
 from vntoolkit.errors import BadCapture, BadInput, CannotWrite, NoSubject, VntError
-from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.geometry.rectification import Rectification
 from vntoolkit.io.footage.captures import open_capture
@@ -31,23 +30,15 @@ from vntoolkit.live.frames import (
 )
 from vntoolkit.options.normals import ShadowMethod
 from vntoolkit.options.reconstruction import MaterialSearch, Product, ReconstructOptions
-from vntoolkit.photometry.response import rgb_from_normals
-from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline.frame_processor import FrameProcessor
 
 
 def dome_picture(background: float = 0.0) -> np.ndarray:
-    normals, mask = dome_normals(31.5)
-    rgb = np.where(mask[..., None], rgb_from_normals(normals, RESPONSE), 0) + background
-    return np.round(rgb.clip(0, 1) * 255).astype(np.uint8)
+    return np.round((dome_light() + background).clip(0, 1) * 255).astype(np.uint8)
 
 
 def encoded(values: np.ndarray, number: int = 0) -> EncodedFrame:
     return EncodedFrame(values=values, bits=8, number=number, name=f"frame {number}")
-
-
-def dome_rig() -> Rig:
-    return Rig(camera=Camera.orthographic(width=64, height=48), response=RESPONSE)
 
 
 class Source:
@@ -71,10 +62,10 @@ def test_shadows_are_found_live_as_in_a_run() -> None:
     options = ReconstructOptions(
         to=Product.NORMALS, shadows=ShadowMethod.ROBUST, materials=MaterialSearch.CALIBRATED
     )
-    expected = FrameProcessor(dome_rig(), options, with_errors=False).process(encoded(values)).normal_map
-    found = LiveProcessor(dome_rig(), shadows=ShadowMethod.ROBUST).process(encoded(values)).normal_map
+    expected = FrameProcessor(RIG, options, with_errors=False).process(encoded(values)).normal_map
+    found = LiveProcessor(RIG, shadows=ShadowMethod.ROBUST).process(encoded(values)).normal_map
     np.testing.assert_array_equal(found.normals_in_camera, expected.normals_in_camera)
-    plain = LiveProcessor(dome_rig()).process(encoded(values)).normal_map
+    plain = LiveProcessor(RIG).process(encoded(values)).normal_map
     assert np.abs(plain.normals_in_camera - expected.normals_in_camera).max() > 0.1
 
 
@@ -108,7 +99,7 @@ def test_a_file_that_decodes_too_slowly_skips_frames_and_counts_them() -> None:
     assert numbers[:2] == [0, 1]
     assert numbers[2] >= 25  # half a second later
     assert source.skipped == 80 - len(numbers)
-    run = LiveRun(FileSource(SlowCapture()), LiveProcessor(dome_rig()), lambda r, t: None)
+    run = LiveRun(FileSource(SlowCapture()), LiveProcessor(RIG), lambda r, t: None)
     figures = run.run()
     assert figures.arrived == 80
     assert figures.dropped == 80 - figures.processed > 0
@@ -123,7 +114,7 @@ def test_the_newest_frames_are_worked_on_and_the_others_counted() -> None:
         all_there.wait(30)  # the first frame takes as long as the nine others need to arrive
         seen.append(result.number)
 
-    figures = LiveRun(source, LiveProcessor(dome_rig()), on_result).run()
+    figures = LiveRun(source, LiveProcessor(RIG), on_result).run()
     assert seen[-2:] == [8, 9]
     assert len(seen) <= 3
     assert figures.arrived == 10
@@ -138,7 +129,7 @@ def test_a_file_that_is_not_in_real_time_loses_nothing() -> None:
     arrived: list[int] = []
     run = LiveRun(
         source,
-        LiveProcessor(dome_rig()),
+        LiveProcessor(RIG),
         lambda result, timed: seen.append(result.number),
         lambda timed: arrived.append(timed.frame.number),
         wait_for_all=True,
@@ -148,7 +139,7 @@ def test_a_file_that_is_not_in_real_time_loses_nothing() -> None:
 
 
 def test_recent_frames_tell_how_dark_a_frame_without_a_subject_is() -> None:
-    rig = replace(dome_rig(), response=replace(RESPONSE, matrix=RESPONSE.matrix / 6))
+    rig = replace(RIG, response=replace(RESPONSE, matrix=RESPONSE.matrix / 6))
     bright, dim = encoded(dome_picture(), 0), encoded(dome_picture() // 30, 1)
     alone, after = LiveProcessor(rig).lanes[0], LiveProcessor(rig).lanes[0]
     assert alone(dim)[0].normal_map.mask.any()
@@ -164,13 +155,11 @@ def test_recent_frames_tell_how_dark_a_frame_without_a_subject_is() -> None:
 def test_black_frames_fail_alone_and_a_source_that_never_gave_any_raises() -> None:
     black = np.zeros((48, 64, 3), np.uint8)
     source = Source([encoded(black, 0), encoded(dome_picture(), 1)])
-    figures = LiveRun(source, LiveProcessor(dome_rig()), lambda r, t: None, wait_for_all=True).run()
+    figures = LiveRun(source, LiveProcessor(RIG), lambda r, t: None, wait_for_all=True).run()
     assert (figures.failed, figures.processed) == (1, 1)
     told: list[str] = []
     dark = Source([encoded(black)])
-    run = LiveRun(
-        dark, LiveProcessor(dome_rig()), lambda r, t: None, on_failure=lambda p, t: told.append(str(p))
-    )
+    run = LiveRun(dark, LiveProcessor(RIG), lambda r, t: None, on_failure=lambda p, t: told.append(str(p)))
     with pytest.raises(VntError, match="no "):  # not one frame had normals
         run.run()
     assert len(told) == 1
@@ -181,13 +170,13 @@ def test_black_frames_fail_alone_and_a_source_that_never_gave_any_raises() -> No
             yield
 
     with pytest.raises(BadCapture, match="no frames any more"):
-        LiveRun(Unplugged([]), LiveProcessor(dome_rig()), lambda r, t: None).run()
+        LiveRun(Unplugged([]), LiveProcessor(RIG), lambda r, t: None).run()
     with pytest.raises(BadCapture, match="cannot be opened"):
         CameraSource(97)
 
 
 def test_results_are_those_of_the_dome_and_depth_keeps_its_offset() -> None:
-    processor = LiveProcessor(dome_rig())
+    processor = LiveProcessor(RIG)
     truth, mask = dome_normals(31.5)
     first = processor.process(encoded(dome_picture()))
     inside = first.normal_map.mask & mask
@@ -201,8 +190,8 @@ def test_results_are_those_of_the_dome_and_depth_keeps_its_offset() -> None:
 
 
 def test_depth_of_half_the_size_is_the_same_surface() -> None:
-    whole = LiveProcessor(dome_rig(), depth_px=64)
-    half = LiveProcessor(dome_rig(), depth_px=32)
+    whole = LiveProcessor(RIG, depth_px=64)
+    half = LiveProcessor(RIG, depth_px=32)
     large, small = (p.process(encoded(dome_picture())) for p in (whole, half))
     assert large.normal_map.shape == small.normal_map.shape == (48, 64)
     assert small.depth_map.shape == (half.depth_camera.height, half.depth_camera.width) == (24, 32)
@@ -216,7 +205,7 @@ def test_depth_of_half_the_size_is_the_same_surface() -> None:
 
 
 def test_warming_up_leaves_nothing_behind() -> None:
-    fresh, warm = LiveProcessor(dome_rig()), LiveProcessor(dome_rig())
+    fresh, warm = LiveProcessor(RIG), LiveProcessor(RIG)
     warm.warm_up(encoded(np.full((48, 64, 3), 128, np.uint8)))
     warm.warm_up(encoded(np.zeros((48, 64, 3), np.uint8)))
     for number in range(2):
@@ -229,7 +218,7 @@ def test_warming_up_leaves_nothing_behind() -> None:
 
 
 def test_crop_rectification_and_background_give_the_same_normals() -> None:
-    rig = dome_rig()
+    rig = RIG
     plain = LiveProcessor(rig).process(encoded(dome_picture())).normal_map
     wide = np.zeros((80, 100, 3), np.uint8)
     wide[10:58, 20:84] = dome_picture(0.1)
@@ -330,7 +319,7 @@ def test_rate_and_latency_are_measured() -> None:
 
 def test_the_command_plays_a_video_and_says_what_was_dropped(tmp_path: Path, capsys) -> None:
     write_video(tmp_path / "a.mkv", [dome_picture()] * 6, 30.0)
-    write_rig(tmp_path / "rig.json", dome_rig())
+    write_rig(tmp_path / "rig.json", RIG)
     arguments = ["live", "--rig", str(tmp_path / "rig.json"), "--port", "8192"]
     assert main([*arguments, "--video", str(tmp_path / "a.mkv")]) == 0
     printed = capsys.readouterr().out
@@ -345,7 +334,7 @@ def test_the_command_plays_a_video_and_says_what_was_dropped(tmp_path: Path, cap
 
 @pytest.mark.parametrize("number", [-1, 100, 99999999999])
 def test_a_camera_number_that_opencv_would_choke_on_is_refused(tmp_path: Path, capsys, number: int) -> None:
-    write_rig(tmp_path / "rig.json", dome_rig())
+    write_rig(tmp_path / "rig.json", RIG)
     assert main(["live", "--rig", str(tmp_path / "rig.json"), "--camera", str(number)]) == 1
     said = capsys.readouterr().err
     assert f"camera: expected a number from 0, the first camera, to 99, got {number}" in said

@@ -144,9 +144,7 @@ def test_pictures_carry_normals_and_mark_what_is_clipped(dome: tuple[LiveResult,
         PacketSizes(grid=100_000)
 
 
-def test_one_packet_per_question_and_always_the_newest(
-    viewer: LiveViewer, dome: tuple[LiveResult, Camera]
-) -> None:
+def test_one_packet_per_question_and_always_the_newest(viewer, dome):
     assert viewer.watchers == 0
     viewer.show(dome[0], timed())  # nobody looks on
     page = Asked(viewer)

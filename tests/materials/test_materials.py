@@ -8,7 +8,6 @@ import pytest
 from scipy import ndimage
 from scipy.ndimage import gaussian_filter
 
-from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.materials.grey_paint import CLEAR, nats_over_grey
 from vntoolkit.materials.label_moves import LabelEnergy
@@ -306,11 +305,6 @@ def test_relighting_the_calibration_material_changes_nothing() -> None:
     same = relit(frame, RESPONSE, np.zeros((40, 40), np.uint8), np.ones((1, 3)))
     assert np.allclose(same.rgb, frame.rgb, atol=1e-6)
     assert np.allclose(colours_of(np.ones((1, 3)), RESPONSE), 1.0)
-
-
-def test_lamps_of_unknown_colours_are_refused() -> None:
-    with pytest.raises(BadInput, match="does not hold the colours of its lamps"):
-        lamps_from_response(LightResponse(matrix=RESPONSE.matrix), np.full(3, LEVEL))
 
 
 def test_labels_are_carried_along_with_a_turning_subject() -> None:

@@ -138,5 +138,3 @@ def test_refusals(rng) -> None:
         normals_from_encoded(np.ones((4, 5, 3)), RESPONSE, Transfer())
     with pytest.raises(BadInput, match="image: expected shape"):
         normals_from_encoded(np.ones((4, 5, 4), np.uint8), RESPONSE, Transfer())
-    with pytest.raises(BadInput, match="albedo tolerance"):
-        InversionOptions(albedo_tolerance=0.0)

@@ -159,16 +159,6 @@ def test_the_rig_file_keeps_the_variation_and_old_files_read() -> None:
         rig_from_text(plain.replace('"version": 1', f'"version": {RIG_VERSION + 1}'))
 
 
-def test_refusals() -> None:
-    good = {"matrices": np.zeros((1, 3, 3)), "ambients": np.zeros((1, 3)), "centre_px": np.zeros(2)}
-    with pytest.raises(BadRig, match="total degree 1 to 3"):
-        ResponseVariation(powers=np.array([[2, 2]]), scale_px=1.0, **good)
-    with pytest.raises(BadRig, match="positive scale"):
-        ResponseVariation(powers=np.array([[1, 0]]), scale_px=0.0, **good)
-    with pytest.raises(BadRig, match="matrices: expected shape 2"):
-        ResponseVariation(powers=np.array([[1, 0], [0, 1]]), scale_px=1.0, **good)
-
-
 def test_m_of_a_place_stays_with_it_when_the_camera_zooms() -> None:
     wide, far = (Camera.pinhole(width=WIDTH, height=HEIGHT, focal_px=f) for f in (100.0, 250.0))
     rig = Rig(camera=wide, response=varying())

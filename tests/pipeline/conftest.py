@@ -20,6 +20,9 @@ RESPONSE = LightResponse(
 )
 
 
+RIG = Rig(camera=Camera.orthographic(width=SIZE[1], height=SIZE[0]), response=RESPONSE)
+
+
 @dataclass(frozen=True)
 class DomeCapture:
     source: str
@@ -41,12 +44,23 @@ def write_dome_capture(folder: Path, count: int = 20) -> DomeCapture:
     normals, masks = [], []
     for number in range(count):
         n, mask = dome_normals(31.5 + 0.3 * number)
-        rgb = np.where(mask[..., None], rgb_from_normals(n, RESPONSE), 0)
-        write_png(folder / f"f{number}.png", np.round(rgb.clip(0, 1) * 65535).astype(np.uint16))
+        light = dome_light(31.5 + 0.3 * number)
+        write_png(folder / f"f{number}.png", np.round(light * 65535).astype(np.uint16))
         normals.append(n)
         masks.append(mask)
-    rig = Rig(camera=Camera.orthographic(width=SIZE[1], height=SIZE[0]), response=RESPONSE)
-    return DomeCapture(str(folder), rig, normals, masks)
+    return DomeCapture(str(folder), RIG, normals, masks)
+
+
+def dome_light(centre_u: float = 31.5) -> np.ndarray:
+    normals, mask = dome_normals(centre_u)
+    return np.where(mask[..., None], rgb_from_normals(normals, RESPONSE), 0).clip(0, 1)
+
+
+def to_normals(folder: Path, source: Path, *more: str) -> list[str]:
+    """Write the dome's rig beside the results, and return the command that makes its normals."""
+    write_rig(folder / "rig.json", RIG)
+    command = f"reconstruct {source} --rig {folder}/rig.json --to normals --shadows none --out {folder}/out"
+    return [*command.split(), *more]
 
 
 @pytest.fixture(scope="session")

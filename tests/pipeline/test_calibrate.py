@@ -54,16 +54,9 @@ def test_sphere_command_writes_a_rig_that_names_its_sources(tmp_path, capsys) ->
     lights = [tmp_path / f"{name}.png" for name in "rgb"]
     for k, path in enumerate(lights):
         write_ball(path, single_light(k))
-    command = ["calibrate", "sphere", str(tmp_path / "ball.png"), "--out", str(tmp_path / "rig.json")]
-    options = [
-        "--mask",
-        str(tmp_path / "mask.png"),
-        "--transfer",
-        "srgb",
-        "--single-light",
-        *map(str, lights),
-    ]
-    assert main([*command, *options]) == 0
+    command = f"calibrate sphere {tmp_path}/ball.png --out {tmp_path}/rig.json --transfer srgb"
+    command += f" --single-light {' '.join(map(str, lights))} --mask {tmp_path}"
+    assert main(f"{command}/mask.png".split()) == 0
     rig = read_rig(tmp_path / "rig.json")
     np.testing.assert_allclose(rig.response.matrix, RESPONSE.matrix, atol=0.005)
     np.testing.assert_allclose(rig.response.light_colours, COLOURS, atol=0.01)
@@ -73,12 +66,9 @@ def test_sphere_command_writes_a_rig_that_names_its_sources(tmp_path, capsys) ->
     assert "residual" in capsys.readouterr().out
     (tmp_path / "mattes").mkdir()
     (tmp_path / "mask.png").rename(tmp_path / "mattes" / "matte.png")
-    options[1] = str(tmp_path / "mattes")
-    assert main([*command, *options]) == 0
-    assert [source.file for source in read_rig(tmp_path / "rig.json").sources][:2] == [
-        "ball.png",
-        "matte.png",
-    ]
+    assert main(f"{command}/mattes".split()) == 0
+    sources = read_rig(tmp_path / "rig.json").sources
+    assert [source.file for source in sources][:2] == ["ball.png", "matte.png"]
 
 
 def test_a_ball_under_one_lamp_at_a_time_gives_m_and_the_lamps(tmp_path, capsys) -> None:
@@ -108,8 +98,8 @@ def test_lights_command_makes_a_rig(tmp_path) -> None:
     rows = np.column_stack([DIRECTIONS * [1, -1, -1], COLOURS])
     np.savetxt(tmp_path / "lights.txt", rows)
     out = tmp_path / "rig.json"
-    command = ["calibrate", "lights", str(tmp_path / "lights.txt"), "--like", str(tmp_path / "ball.png")]
-    assert main([*command, "--light-colours", "given", "--out", str(out)]) == 0
+    command = f"calibrate lights {tmp_path}/lights.txt --like {tmp_path}/ball.png --light-colours given"
+    assert main(f"{command} --out {out}".split()) == 0
     np.testing.assert_allclose(read_rig(out).response.matrix, RESPONSE.matrix)
     assert (read_rig(out).camera.width, read_rig(out).camera.height) == (160, 120)
 
@@ -135,17 +125,16 @@ def test_bad_footage_gets_one_line_and_no_rig(tmp_path, capsys, image, message) 
 def test_other_bad_input_gets_one_line(tmp_path, capsys) -> None:
     write_ball(tmp_path / "ball.png")
     write_mask(tmp_path / "small.png", np.ones((60, 80), bool))
-    ball, out = str(tmp_path / "ball.png"), str(tmp_path / "rig.json")
-    assert main(["calibrate", "sphere", ball, "--out", out, "--mask", str(tmp_path / "small.png")]) == 1
-    assert "the mask is 80×60, the capture 160×120" in capsys.readouterr().err
-    camera = ["--camera", str(tmp_path / "rig.json"), "--focal-px", "300"]
-    assert main(["calibrate", "sphere", ball, "--out", out, *camera]) == 1
-    assert "expected --camera or --focal-px, got both" in capsys.readouterr().err
-    assert main(["calibrate", "board", ball, "--out", out]) == 1
-    assert "the board is not seen" in capsys.readouterr().err
     (tmp_path / "flat.txt").write_text("1 0 1\n0 1 1\n1 1 2\n")
-    assert main(["calibrate", "lights", str(tmp_path / "flat.txt"), "--like", ball, "--out", out]) == 1
-    assert "singular" in capsys.readouterr().err
+    ball, out = tmp_path / "ball.png", tmp_path / "rig.json"
+    for command, line in (
+        (f"sphere {ball} --mask {tmp_path}/small.png", "the mask is 80×60, the capture 160×120"),
+        (f"sphere {ball} --camera {out} --focal-px 300", "expected --camera or --focal-px, got both"),
+        (f"board {ball}", "the board is not seen"),
+        (f"lights {tmp_path}/flat.txt --like {ball}", "singular"),
+    ):
+        assert main(f"calibrate {command} --out {out}".split()) == 1
+        assert line in capsys.readouterr().err
     assert not (tmp_path / "rig.json").exists()
 
 
@@ -176,21 +165,19 @@ def test_real_sphere_then_buddha_and_cat(real_data, tmp_path, with_mask) -> None
 @pytest.mark.slow
 def test_real_ball_presses_make_a_flat_gel_with_one_travelling_dent(real_data, tmp_path) -> None:
     gel = real_data / "gelsight"
-    corners = ["--corners", "33", "58", "208", "61", "56", "250", "185", "244", "--size-mm", "24", "34.88"]
-    presses = ["calibrate", "presses", str(gel / "ball_presses" / "cal-1*.jpg"), "--ball-radius-mm", "2.42"]
-    files = ["--background", str(gel / "ball_presses" / "bg-0.jpg"), "--label-size", "240", "320"]
-    labels = ["--labels", str(gel / "ball_presses" / "ball_position"), "--out", str(tmp_path / "rig.json")]
-    assert main([*presses, *files, *labels, *corners, "--pixel-mm", "0.1"]) == 0
+    presses = f"{gel}/ball_presses/cal-1*.jpg --background {gel}/ball_presses/bg-0.jpg --ball-radius-mm 2.42"
+    labels = f"--labels {gel}/ball_presses/ball_position --label-size 240 320 --out {tmp_path}/rig.json"
+    plane = "--corners 33 58 208 61 56 250 185 244 --size-mm 24 34.88 --pixel-mm 0.1"
+    assert main(f"calibrate presses {presses} {labels} {plane}".split()) == 0
     rig = read_rig(tmp_path / "rig.json")
     assert rig.quality.method == "presses"
     assert rig.quality.residual_deg < 7.5
     assert rig.gel.rectification.corners_px[:2] == (33, 58)
-    background = str(gel / "sequence_background.jpg")
-    run = ["--rig", str(tmp_path / "rig.json"), "--background", background, "--to", "depth"]
+    background = gel / "sequence_background.jpg"
+    run = f"--rig {tmp_path}/rig.json --background {background} --to depth"
     for name in ("000000", "000100", "000140"):
-        source = str(gel / "sequence" / f"{name}.jpg")
-        assert main(["reconstruct", source, *run, "--out", str(tmp_path / name)]) == 0
-    assert main(["reconstruct", background, *run, "--out", str(tmp_path / "untouched")]) == 0
+        assert main(f"reconstruct {gel}/sequence/{name}.jpg {run} --out {tmp_path}/{name}".split()) == 0
+    assert main(f"reconstruct {background} {run} --out {tmp_path}/untouched".split()) == 0
     untouched = read_normal_map(tmp_path / "untouched" / "normals" / "000000.exr")
     assert (untouched.normals_in_camera[untouched.mask] == [0, 0, -1]).all()
     assert np.ptp(read_depth_map(tmp_path / "untouched" / "depth" / "000000.exr").depth) == 0

@@ -12,7 +12,7 @@ from tests.calibration.turning_egg import (
     BACKGROUND,
     CAMERA,
     DISTANCE,
-    MATRIX,
+    relative_error,
     render_egg,
     turning_poses,
     write_frames,
@@ -58,11 +58,6 @@ def footage(tmp_path_factory):
 @pytest.fixture(scope="module")
 def calibrated(footage):
     return calibrate_head(CalibrationJob(source=footage[0], focal_px=FOCAL), OPTIONS)
-
-
-def relative_error(matrix):
-    scale = (matrix * MATRIX).sum() / np.square(matrix).sum()
-    return np.linalg.norm(scale * matrix - MATRIX) / np.linalg.norm(MATRIX)
 
 
 def constant_rotation(motion, poses):

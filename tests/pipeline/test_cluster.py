@@ -1,6 +1,5 @@
 """Many machines: the same bytes from Dask's workers, a worker that dies in mid-run, a run that goes on."""
 
-import hashlib
 import os
 import signal
 import socket
@@ -14,36 +13,23 @@ from pathlib import Path
 import pytest
 
 from tests.pipeline.conftest import DomeCapture, write_dome_capture
-from tests.pipeline.test_reconstruct import footage_with_specks
+from tests.pipeline.test_reconstruct import digest, footage_with_specks
+from tests.pipeline.test_reconstruct import job_of as reconstruct_job_of
 from vntoolkit.errors import BadInput, BadMesh, MissingDependency, VntError
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.results.frame_log import FrameEntry, FrameLog
-from vntoolkit.options.normals import ShadowMethod
-from vntoolkit.options.reconstruction import Product, ReconstructOptions
+from vntoolkit.options.reconstruction import Product
 from vntoolkit.pipeline import cluster
 from vntoolkit.pipeline.cluster import connected
-from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.reconstruct import reconstruct
 from vntoolkit.pipeline.request import Request
 
 
 def job_of(capture: DomeCapture, out: Path) -> Request:
-    return Request(
-        source=capture.source,
-        rig=capture.rig,
-        options=ReconstructOptions(shadows=ShadowMethod.NONE, to=Product.DEPTH),
-        folder=ReconstructionFolder(root=out),
-    )
+    return reconstruct_job_of(capture, out, to=Product.DEPTH)
 
 
-def digest(folder: Path) -> dict[str, str]:
-    files = sorted(folder.rglob("*.exr"))
-    return {str(p.relative_to(folder)): hashlib.sha256(p.read_bytes()).hexdigest() for p in files}
-
-
-def test_without_dask_one_line_says_what_to_install(
-    dome_capture: DomeCapture, tmp_path: Path, monkeypatch
-) -> None:
+def test_without_dask_one_line_says_what_to_install(dome_capture, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(MissingDependency, match=r"pip install vntoolkit\[cluster\]"):
         reconstruct(job_of(dome_capture, tmp_path / "out"), scheduler="local")
@@ -125,9 +111,7 @@ def small_cluster(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[str, list[s
     ],
     ids=["scheduler killed", "scheduler stopped", "workers killed", "workers stopped", "one worker stopped"],
 )
-def test_what_happens_to_a_cluster_is_one_line_or_nothing(
-    tmp_path: Path, small_cluster: tuple[str, list[subprocess.Popen[bytes]]], struck, how, line
-) -> None:
+def test_what_happens_to_a_cluster_is_one_line_or_nothing(tmp_path, small_cluster, struck, how, line):
     """The run ends by one line, or goes on with the worker that is left; given again, it is completed."""
     address, processes = small_cluster
     (tmp_path / "footage").mkdir()

@@ -6,19 +6,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.pipeline.conftest import RESPONSE, SIZE, DomeCapture, dome_normals
+from tests.pipeline.conftest import RESPONSE, RIG, SIZE, DomeCapture, dome_normals, to_normals
 from tests.pipeline.test_reconstruct import digest, job_of
 from vntoolkit.__main__ import main
 from vntoolkit.diagnosis.inspection import inspect_capture
 from vntoolkit.errors import BadCapture
-from vntoolkit.geometry.camera import Camera
 from vntoolkit.io.footage.captures import open_capture
 from vntoolkit.io.footage.images import write_png
 from vntoolkit.io.results.manifest import read_manifest
-from vntoolkit.io.rigs import write_rig
 from vntoolkit.options.tracking import TrackingOptions
 from vntoolkit.photometry.response import rgb_from_normals
-from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline.reconstruct import reconstruct
 from vntoolkit.pipeline.track import TrackJob, track
 
@@ -35,8 +32,7 @@ def _film(folder: Path, shown: list[float]) -> DomeCapture:
         light = np.where(mask[..., None], 255 * rgb_from_normals(normals, RESPONSE).clip(0, 1), 0)
         noise = rng.integers(0, LEVELS, (*SIZE, 3))
         write_png(folder / f"f{number:02d}.png", np.rint(np.maximum(light, noise)).astype(np.uint8))
-    rig = Rig(camera=Camera.orthographic(width=SIZE[1], height=SIZE[0]), response=RESPONSE)
-    return DomeCapture(str(folder), rig, [], [])
+    return DomeCapture(str(folder), RIG, [], [])
 
 
 @pytest.mark.parametrize("before", [3, 8])
@@ -103,9 +99,7 @@ def test_the_template_is_the_frame_that_shows_most(tmp_path: Path) -> None:
 
 def test_the_command_says_which_frames_are_empty_in_one_line(tmp_path, capsys, caplog) -> None:
     capture = _film(tmp_path / "footage", [0.0] * 3 + [1.0] * 3)
-    write_rig(tmp_path / "rig.json", capture.rig)
-    command = ["reconstruct", capture.source, "--rig", str(tmp_path / "rig.json")]
-    assert main([*command, "--shadows", "none", "--out", str(tmp_path / "out")]) == 0
+    assert main(to_normals(tmp_path, capture.source)) == 0
     shown = capsys.readouterr()
     assert "3 of 6 frames done" in shown.out
     assert [r.message for r in caplog.records if r.message.startswith("frames 0 to 2 show no subject")]

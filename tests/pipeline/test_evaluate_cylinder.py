@@ -22,9 +22,7 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     return root / "rec", root / "sim"
 
 
-def test_the_fit_and_the_normals_are_right(
-    folders: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_fit_and_the_normals_are_right(folders, tmp_path, capsys):
     found = vt.evaluate_cylinder(folders[0], truth=folders[1], out=tmp_path)
     written = json.loads((tmp_path / "cylinder.json").read_text())
     assert written["mean_deg"] == pytest.approx(found.mean_deg)
@@ -41,9 +39,7 @@ def test_the_fit_and_the_normals_are_right(
     assert 0.5 < found.mean_deg < 3.5
 
 
-def test_without_footage_the_mask_is_the_silhouette(
-    folders: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_footage_the_mask_is_the_silhouette(folders, monkeypatch):
     hidden = folders[1] / "moved.mkv"
     (folders[1] / "capture.mkv").rename(hidden)
     try:

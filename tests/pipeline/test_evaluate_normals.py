@@ -31,9 +31,7 @@ def folders(tmp_path: Path) -> tuple[Path, Path]:
     return tmp_path / "ours", tmp_path / "sim"
 
 
-def test_folders_are_compared_frame_by_frame(
-    folders: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_folders_are_compared_frame_by_frame(folders, tmp_path, capsys):
     assert main(list(map(str, ["evaluate", "normals", *folders, "--out", tmp_path / "out"]))) == 0
     written = json.loads((tmp_path / "out" / "normals.json").read_text())
     assert written["overall"]["mean_deg"] == pytest.approx(7.5, abs=0.05)

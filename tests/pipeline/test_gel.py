@@ -64,9 +64,7 @@ def test_a_raw_frame_becomes_depth_in_millimetres_and_contact(rig_file: Path, un
     assert rest.area_mm2 == rest.deepest_mm == 0
 
 
-def test_what_contradicts_the_rig_is_said(
-    rig_file: Path, untouched, rng, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_what_contradicts_the_rig_is_said(rig_file, untouched, rng, caplog):
     rig = read_rig(rig_file)
     touched, press = picture(rng, 60, 90, 18), picture(rng, 100, 40, 18)
     for frame, line in (

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from vntoolkit.errors import BadInput, VntError
-from vntoolkit.pipeline.processes import map_in_processes, processes_kept
+from vntoolkit.pipeline.processes import map_in_processes
 
 Work = Callable[[int], list[int]]
 
@@ -58,25 +58,3 @@ def test_what_the_work_raises_is_raised() -> None:
 def test_a_worker_that_dies_is_named() -> None:
     with pytest.raises(VntError, match=r"ended abruptly .* run the same command again, with fewer --jobs"):
         list(map_in_processes(_begin, [1, 9], 2))
-
-
-def _process(threads: int | None) -> Callable[[int], list[tuple[int, int | None]]]:
-    return lambda item: [(os.getpid(), threads)]
-
-
-def test_processes_are_kept_only_where_that_is_asked_for() -> None:
-    with processes_kept():
-        first = {process for process, _ in map_in_processes(_process, range(20), 2)}
-        assert sorted(map_in_processes(_begin, [1, 2, 3], 2)) == [1, 2, 3, 10, 20, 30]
-        again = {process for process, _ in map_in_processes(_process, range(20), 2)}
-    afterwards = {process for process, _ in map_in_processes(_process, range(20), 2)}
-    assert len(first | again) <= 2  # one of the two may have done all
-    assert os.getpid() not in first
-    assert not afterwards & (first | again)
-
-
-def test_processes_are_not_kept_after_a_failure() -> None:
-    with processes_kept():
-        with pytest.raises(VntError, match="ended abruptly"):
-            list(map_in_processes(_begin, [1, 9], 2))
-        assert sorted(map_in_processes(_begin, [1, 2], 2)) == [1, 2, 10, 20]

@@ -62,9 +62,7 @@ def test_labels_are_written_and_right(shadowed_capture: DomeCapture, robust_run:
     assert manifest.options["shadows"] == "robust"
 
 
-def test_normals_under_the_shadow_are_recovered(
-    shadowed_capture: DomeCapture, robust_run: Path, tmp_path: Path
-) -> None:
+def test_normals_under_the_shadow_are_recovered(shadowed_capture, robust_run, tmp_path):
     plain_run = tmp_path / "plain"
     reconstruct(job_of(shadowed_capture, plain_run, to=Product.NORMALS))
     for number in (0, FRAMES - 1):
@@ -78,9 +76,7 @@ def test_normals_under_the_shadow_are_recovered(
         assert angles[robust_run][lit].mean() < angles[plain_run][lit].mean() + 0.2
 
 
-def test_the_same_bytes_from_two_workers(
-    shadowed_capture: DomeCapture, robust_run: Path, tmp_path: Path
-) -> None:
+def test_the_same_bytes_from_two_workers(shadowed_capture, robust_run, tmp_path):
     job = job_of(shadowed_capture, tmp_path, to=Product.NORMALS, shadows=ShadowMethod.ROBUST)
     reconstruct(job, jobs=2)
     assert digest(tmp_path) == digest(robust_run)

@@ -26,9 +26,9 @@ def films(tmp_path: Path) -> Path:
 
 
 def session(films: Path, out: Path, *more: str, takes: tuple[str, ...] = ("take1", "take2", "take3")) -> int:
-    sources = [str(films / take) for take in takes]
-    common = ["--rig", str(films / "rig.json"), "--out", str(out), "--to", "depth", "--shadows", "none"]
-    return main(["session", *sources, *common, *more])
+    sources = " ".join(str(films / take) for take in takes)
+    command = f"session {sources} --rig {films}/rig.json --out {out} --to depth --shadows none"
+    return main([*command.split(), *more])
 
 
 def digest(folder: Path) -> dict[str, str]:
@@ -47,9 +47,9 @@ def test_every_capture_becomes_what_it_would_alone_and_a_bad_one_stops_none(film
     assert "failed: " in lines[1]
     assert "take2" in said.err
     assert "1 of 3 captures failed" in said.err
-    rig = ["--rig", str(films / "rig.json"), "--to", "depth", "--shadows", "none"]
+    how = f"--rig {films}/rig.json --to depth --shadows none"
     for take in ("take1", "take3"):
-        assert main(["reconstruct", str(films / take), *rig, "--out", str(alone / take)]) == 0
+        assert main(f"reconstruct {films}/{take} {how} --out {alone}/{take}".split()) == 0
         assert main(["track", str(alone / take)]) == 0
         assert digest(out / take) == digest(alone / take)
         assert (out / take / "track" / "checkerboard.mkv").is_file()
@@ -119,11 +119,9 @@ def test_on_a_cluster_sequences_are_tracked_by_its_workers_to_the_same_bytes(fil
     here, there = tmp_path / "here", tmp_path / "there"
     assert session(films, here, "--track") == 1
     capfd.readouterr()
-    command = [sys.executable, "-m", "vntoolkit", "session", *(str(films / f"take{k}") for k in (1, 2, 3))]
-    command += ["--rig", str(films / "rig.json"), "--out", str(there), "--to", "depth", "--shadows", "none"]
-    assert subprocess.run(
-        [*command, "--track", "--scheduler", "local", "--jobs", "2"], check=False
-    ).returncode
+    command = f"{sys.executable} -m vntoolkit session {films}/take1 {films}/take2 {films}/take3 --track"
+    command += f" --rig {films}/rig.json --out {there} --to depth --shadows none --scheduler local --jobs 2"
+    assert subprocess.run(command.split(), check=False).returncode
     assert capfd.readouterr().err == "vntoolkit: 1 of 3 captures failed: take2\n"  # and nothing of Dask's own
     assert digest(there) == digest(here)
     assert len(digest(there)) == 2 * (6 + 3) + 2 * 2

@@ -159,14 +159,7 @@ def test_command_line_renders_and_refuses_in_one_line(tmp_path, capsys):
     line = ["simulate", "sphere", "--frames", "0:2", "--size", "64x48", "--samples", "1", "--no-noise"]
     assert main([*line, "--out", str(tmp_path / "a")]) == 0
     assert "2 frames of sphere" in capsys.readouterr().out
-    bad = {
-        "size: expected WIDTHxHEIGHT": [*line[:4], "--size", "64"],
-        "unknown scene 'bal'": ["simulate", "bal"],
-        "read_noise_electrons": [*line, "--read-noise-electrons", "-2"],
-        "jobs: expected at least 1": [*line, "--jobs", "0"],
-    }
-    for message, arguments in bad.items():
-        assert main([*arguments, "--out", str(tmp_path / "b")]) == 1
-        error = capsys.readouterr().err
-        assert message in error
-        assert error.count("\n") == 1
+    assert main([*line, "--jobs", "0", "--out", str(tmp_path / "b")]) == 1
+    error = capsys.readouterr().err
+    assert "jobs: expected at least 1 process, got 0" in error
+    assert error.count("\n") == 1

@@ -52,9 +52,7 @@ def calibrate(sensor: Path, rig: Path, *more: str, ball_mm: str = "2.4") -> int:
     return main(["calibrate", "presses", *files, *ball, *corners(), *more])
 
 
-def test_a_sensor_from_presses_without_labels_to_depth_and_contact(
-    sensor: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_sensor_from_presses_without_labels_to_depth_and_contact(sensor, tmp_path, capsys):
     rig = tmp_path / "rig.json"
     assert calibrate(sensor, rig) == 0
     told = capsys.readouterr().out
@@ -113,9 +111,7 @@ def test_the_dark_flank_of_a_sharp_rim_is_no_dot(sensor: Path, tmp_path: Path) -
     assert area_mm2 == pytest.approx(np.pi * 1.5**2, rel=0.15)
 
 
-def test_an_untouched_gel_is_flat_and_a_missing_background_is_said(
-    sensor: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_untouched_gel_is_flat_and_a_missing_background_is_said(sensor, tmp_path, capsys):
     rig = tmp_path / "rig.json"
     assert calibrate(sensor, rig) == 0
     background = str(sensor / "background.png")
@@ -127,9 +123,7 @@ def test_an_untouched_gel_is_flat_and_a_missing_background_is_said(
     assert (tmp_path / "flat" / "contact.csv").read_text().splitlines()[1] == "0,0.000,0.0000"
 
 
-def test_labels_of_a_picture_of_another_size_are_refused(
-    sensor: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_labels_of_a_picture_of_another_size_are_refused(sensor, tmp_path, capsys):
     labels = ["--labels", str(sensor / "labels")]
     assert calibrate(sensor, tmp_path / "rig.json", *labels) == 1
     error = capsys.readouterr().err
@@ -140,9 +134,7 @@ def test_labels_of_a_picture_of_another_size_are_refused(
     assert "as labelled in" in capsys.readouterr().out
 
 
-def test_circles_are_drawn_over_a_grid_and_corrected_by_hand(
-    sensor: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_circles_are_drawn_over_a_grid_and_corrected_by_hand(sensor, tmp_path, capsys):
     rig, overlay, labels = tmp_path / "rig.json", tmp_path / "circles.png", tmp_path / "circles.txt"
     u, v, _ = (float(word) / 1.2 for word in (sensor / "labels" / "press-3.txt").read_text().split())
     circle = ["--circle", "press-3.png", str(u), str(v), "17", "--circle", "press-5.png"]
@@ -170,9 +162,7 @@ def test_circles_are_drawn_over_a_grid_and_corrected_by_hand(
     assert "--overlay circles.png" in capsys.readouterr().err
 
 
-def test_a_diameter_given_as_the_radius_and_clipped_presses_are_said(
-    sensor: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_diameter_given_as_the_radius_and_clipped_presses_are_said(sensor, tmp_path, capsys, caplog):
     assert calibrate(sensor, tmp_path / "rig.json", ball_mm="4.8") == 0
     assert "diameter given as --ball-radius-mm? [cone]" in caplog.text
     (tmp_path / "bright").mkdir()

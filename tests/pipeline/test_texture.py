@@ -128,9 +128,7 @@ def test_mesh_and_relief_together_have_the_measured_normals(dome_result: DomeRes
 
 
 @pytest.mark.parametrize("kind", [ExportFormat.USD, ExportFormat.GLB, ExportFormat.OBJ])
-def test_tracked_exports_carry_the_texture(
-    dome_result: DomeResult, tmp_path: Path, kind: ExportFormat
-) -> None:
+def test_tracked_exports_carry_the_texture(dome_result, tmp_path, kind):
     name = {ExportFormat.USD: "a.usdc", ExportFormat.GLB: "a.glb", ExportFormat.OBJ: "obj"}[kind]
     options = ExportOptions(to=kind)
     out = export(
@@ -162,9 +160,7 @@ def test_tracked_exports_carry_the_texture(
         assert read_image(image).shape == (48, 64, 3)
 
 
-def test_without_footage_or_texture_that_is_said(
-    dome_result: DomeResult, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_without_footage_or_texture_that_is_said(dome_result, tmp_path, caplog):
     folder = tmp_path / "moved"
     shutil.copytree(dome_result.folder, folder)
     made = write_texture(folder, footage=str(tmp_path / "nowhere"))

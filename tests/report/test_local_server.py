@@ -9,6 +9,7 @@ from urllib.parse import urlsplit
 import pytest
 
 from tests.browser import visit
+from tests.report.test_viewer import free_port
 from vntoolkit.options.pages import ViewerOptions
 from vntoolkit.report import local_server
 from vntoolkit.report.local_server import LocalServer
@@ -16,23 +17,16 @@ from vntoolkit.report.scene import scene_page
 
 
 @pytest.fixture
-def server(free_port: int) -> Iterator[LocalServer]:
+def server() -> Iterator[LocalServer]:
     page = scene_page("a page", "live", {"records": True})
     served = LocalServer(
-        ViewerOptions(port=free_port),
+        ViewerOptions(port=free_port()),
         page,
         {"/packet": lambda query: b"the camera"},
         {"/record": lambda query: None},
     )
     yield served
     served.close()
-
-
-@pytest.fixture
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def answer(
@@ -81,8 +75,8 @@ def test_without_the_token_nothing_is_answered(server: LocalServer) -> None:
         assert server.token.encode() not in content
 
 
-def test_the_name_of_another_machine_is_refused_on_all_addresses_too(free_port: int) -> None:
-    served = LocalServer(ViewerOptions(host="0.0.0.0", port=free_port), "", {})
+def test_the_name_of_another_machine_is_refused_on_all_addresses_too() -> None:
+    served = LocalServer(ViewerOptions(host="0.0.0.0", port=free_port()), "", {})
     try:
         assert (
             answer(served, "/", Host="192.0.2.7")[0] == 200
@@ -109,9 +103,7 @@ def test_no_frame_and_no_foreign_script(server: LocalServer) -> None:
 
 
 @pytest.mark.parametrize("sent", [b"", b"GET /packet", b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n"])
-def test_a_request_that_never_ends_is_let_go(
-    server: LocalServer, monkeypatch: pytest.MonkeyPatch, sent: bytes
-) -> None:
+def test_a_request_that_never_ends_is_let_go(server, monkeypatch, sent):
     monkeypatch.setattr(local_server, "_REQUEST_S", 0.6)
     with socket.create_connection(("127.0.0.1", server.port), timeout=10) as dawdler:
         dawdler.sendall(sent)

@@ -1,17 +1,13 @@
 """The verbs report, view --html and export, from the command line to the file."""
 
 import shlex
-from pathlib import Path
 
 import pytest
 
-from tests.dome_result import DomeResult
 from vntoolkit.__main__ import main
 
 
-def test_report_names_its_page(
-    dome_result: DomeResult, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_report_names_its_page(dome_result, tmp_path, capsys):
     page = tmp_path / "page.html"
     assert main(["report", str(dome_result.folder), "--out", str(page), "--samples", "1"]) == 0
     after = f"next: vntoolkit export {dome_result.folder} --to usd"
@@ -19,9 +15,7 @@ def test_report_names_its_page(
     assert page.read_text().startswith("<!DOCTYPE html>")
 
 
-def test_view_writes_the_page_that_it_is_asked_for(
-    dome_result: DomeResult, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_view_writes_the_page_that_it_is_asked_for(dome_result, tmp_path, capsys):
     page = tmp_path / "scene.html"
     flags = ["--html", str(page), "--frames", "1:3", "--vertices", "100", "--picture-px", "32"]
     assert main(["view", str(dome_result.folder), *flags]) == 0
@@ -31,9 +25,7 @@ def test_view_writes_the_page_that_it_is_asked_for(
     assert page.stat().st_size < 200_000
 
 
-def test_export_says_where_it_went(
-    dome_result: DomeResult, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_export_says_where_it_went(dome_result, tmp_path, capsys):
     out = tmp_path / "a.usdc"
     flags = ["--to", "usd", "--units", "mm", "--scale", "0.01", "--up", "z", "--frames", "0:2"]
     assert main(["export", str(dome_result.folder), "--out", str(out), *flags]) == 0
@@ -55,13 +47,7 @@ def test_export_says_where_it_went(
         (["view", "FOLDER", "--port", "0"], "port: expected 1 to 65535"),
     ],
 )
-def test_mistakes_are_one_line(
-    dome_result: DomeResult,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    words: list[str],
-    complaint: str,
-) -> None:
+def test_mistakes_are_one_line(dome_result, tmp_path, capsys, words, complaint):
     places = {"FOLDER": str(dome_result.folder), "NOWHERE": str(tmp_path)}
     arguments = [places.get(word, word) for word in words]
     if words[0] == "export":

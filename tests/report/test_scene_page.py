@@ -154,9 +154,7 @@ def test_a_foreign_script_in_a_saved_page_does_not_run(page: Path, tmp_path: Pat
 
 
 @pytest.mark.slow
-def test_a_browser_copes_with_what_a_result_may_lack(
-    page: Path, dome_result: DomeResult, tmp_path: Path
-) -> None:
+def test_a_browser_copes_with_what_a_result_may_lack(page, dome_result, tmp_path):
     whole = data_of(page)
     with visit(altered(page, tmp_path / "no_webgl.html", whole, webgl2="nosuchthing")) as seen:
         seen.page.wait_for_selector("body[data-shown='0']")

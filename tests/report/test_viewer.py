@@ -12,7 +12,6 @@ import pytest
 
 from tests.browser import Visit, visit
 from tests.dome_result import DomeResult
-from vntoolkit.errors import BadInput
 from vntoolkit.options.pages import ViewerOptions
 from vntoolkit.pipeline.opened_result import open_result
 from vntoolkit.report.result_scene import ResultViewer
@@ -139,8 +138,3 @@ def test_only_this_machine_sees_it(viewer: ResultViewer) -> None:
                 socket.create_connection((address, port), timeout=2),
             ):
                 pass
-
-
-def test_refusals() -> None:
-    with pytest.raises(BadInput, match="port: expected 1 to 65535"):
-        ViewerOptions(port=0)

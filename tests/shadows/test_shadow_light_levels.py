@@ -10,7 +10,6 @@ from vntoolkit.photometry.response import LightResponse
 from vntoolkit.shadows.contributions import contributions_from_frame
 from vntoolkit.shadows.evidence import CONTRIBUTION_NOISE, largest_dark_cosine
 from vntoolkit.shadows.initialisation import noise_of_frame
-from vntoolkit.shadows.shadow_edges import labels_without_penumbra
 
 EVERYWHERE = np.ones((20, 30), bool)
 MATRIX = np.array([[-0.3, -0.2, -0.5], [0.4, -0.1, -0.5], [0.0, 0.4, -0.6]])
@@ -79,21 +78,6 @@ def test_noise_counts_for_more_on_dark_paint() -> None:
     white, _ = largest_dark_cosine(predicted, predicted, np.ones((20, 30)), EVERYWHERE)
     assert grain.max() == pytest.approx(10 * CONTRIBUTION_NOISE)
     assert (dark > white).all()
-
-
-def test_half_shadow_lies_beside_cast_shadow_only() -> None:
-    labels = np.full((20, 30), 7, np.uint8)
-    labels[:, 15:] = 5  # light 1 is missing on the right
-    cast, terminator = np.full((2, 20, 30, 3), 0.8)
-    cast[:, 14, 1], cast[:, 15:, 1] = 0.2, 0.0
-    terminator[..., 1] = np.clip((15 - np.arange(30)) * 0.02, 0.0, 0.8)
-    found = labels_without_penumbra(labels, cast, EVERYWHERE)
-    assert (found[:, 14] == 5).all()
-    assert (np.delete(found, 14, axis=1) == np.delete(labels, 14, axis=1)).all()
-    assert (labels_without_penumbra(labels, terminator, EVERYWHERE) == labels).all()
-    sharp = np.where(np.arange(30)[:, None] == 14, 0.8, cast)
-    assert (labels_without_penumbra(labels, sharp, EVERYWHERE) == labels).all()
-    assert (labels_without_penumbra(labels, cast, ~EVERYWHERE) == 7).all()
 
 
 def test_noise_of_slopes_is_measured_whatever_the_shape(rng: np.random.Generator) -> None:

@@ -39,9 +39,7 @@ def test_the_shapes_are_small_and_packed() -> None:
     assert packing["wheel"]["force-include"]["data"] == "vntoolkit/data"
 
 
-def test_an_installed_package_finds_them_inside_itself(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_installed_package_finds_them_inside_itself(tmp_path, monkeypatch):
     inside = tmp_path / "vntoolkit" / "data"
     (inside / "shapes").mkdir(parents=True)
     (inside / "walk.bvh").write_text("")

@@ -103,9 +103,7 @@ def danced() -> tuple[DancingGarment, list[np.ndarray], list[float]]:
     return garment, cages, energies
 
 
-def test_the_dance_does_not_stretch_the_cloth(
-    danced: tuple[DancingGarment, list[np.ndarray], list[float]],
-) -> None:
+def test_the_dance_does_not_stretch_the_cloth(danced):
     solver = danced[0].solver
     ends = solver.positions[solver.edges]
     strain = np.abs(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) / solver.rest_lengths - 1.0)
@@ -113,17 +111,13 @@ def test_the_dance_does_not_stretch_the_cloth(
     assert np.percentile(strain, 99) < 0.20  # ribbing stretched over hips and wrists; the fine cage: 0.15
 
 
-def test_no_point_of_the_cloth_is_inside_the_body(
-    danced: tuple[DancingGarment, list[np.ndarray], list[float]],
-) -> None:
+def test_no_point_of_the_cloth_is_inside_the_body(danced):
     garment, cages, _ = danced
     for frame, cage in enumerate(cages):
         assert garment.body(frame).signed_distance(cage).min() > 0.003  # of a margin of 6 mm
 
 
-def test_the_dance_neither_stops_nor_bursts(
-    danced: tuple[DancingGarment, list[np.ndarray], list[float]],
-) -> None:
+def test_the_dance_neither_stops_nor_bursts(danced):
     energies = np.array(danced[2])  # per mass, m²/s²: a dancer sways at some tenths of a metre per second
     assert 0.002 < energies.mean() < 0.3
     assert energies.max() < 1.0
@@ -131,9 +125,7 @@ def test_the_dance_neither_stops_nor_bursts(
     assert np.max([np.percentile(jump, 95) for jump in jumps]) < 0.02  # metres a frame
 
 
-def test_the_same_seed_dances_the_same_and_another_does_not(
-    danced: tuple[DancingGarment, list[np.ndarray], list[float]],
-) -> None:
+def test_the_same_seed_dances_the_same_and_another_does_not(danced):
     garment, cages, _ = danced
     again = DancingGarment(3, sew_sweater(COARSE_M), THICK_M)
     for frame in (4, 6, 5):  # an earlier frame starts again
@@ -142,9 +134,7 @@ def test_the_same_seed_dances_the_same_and_another_does_not(
     assert not np.allclose(garment.body(0).ends, other.body(0).ends)
 
 
-def test_loop_subdivision_reproduces_planes_and_smooths_a_rim_within_itself(
-    rng: np.random.Generator,
-) -> None:
+def test_loop_subdivision_reproduces_planes_and_smooths_a_rim_within_itself(rng):
     garment = sew_sweater(COARSE_M)
     smooth, halve, finer = loop_subdivision(garment.faces, len(garment.flat))
     count = len(garment.flat)

@@ -23,9 +23,7 @@ def run_check(track: MeshSequence, folder: Path, python: str) -> subprocess.Comp
     return subprocess.run(command, capture_output=True, text=True, check=False)
 
 
-def test_without_blender_nothing_is_checked_and_that_is_said(
-    moving_jumper: MeshSequence, tmp_path: Path
-) -> None:
+def test_without_blender_nothing_is_checked_and_that_is_said(moving_jumper, tmp_path):
     done = run_check(moving_jumper, tmp_path, str(tmp_path / "no_python"))
     assert done.returncode == 0
     assert done.stdout.startswith("nothing checked: ")
@@ -33,9 +31,7 @@ def test_without_blender_nothing_is_checked_and_that_is_said(
 
 
 @pytest.mark.slow
-def test_mesh_skeleton_colours_and_range_arrive_in_blender(
-    moving_jumper: MeshSequence, tmp_path: Path
-) -> None:
+def test_mesh_skeleton_colours_and_range_arrive_in_blender(moving_jumper, tmp_path):
     python = os.environ.get("VNTOOLKIT_BLENDER_PYTHON")
     if python is None:
         pytest.skip("VNTOOLKIT_BLENDER_PYTHON is not set: it names a Python that has `bpy`")

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from recipes.walk_motion import walking_motion
-from vntoolkit.errors import BadMotion
-from vntoolkit.geometry.motion import Motion, Skeleton, bone_segments, forward_kinematics, pose_of_frame
+from vntoolkit.geometry.motion import Motion, bone_segments, forward_kinematics, pose_of_frame
 from vntoolkit.io.motion.asf import read_asf_amc
 from vntoolkit.io.motion.bvh import read_bvh, write_bvh
 
@@ -196,12 +195,3 @@ def test_rest_pose_is_no_turn() -> None:
     pose = forward_kinematics(skeleton, still, skeleton.offsets[:1])[0]
     np.testing.assert_allclose(pose[:, :3, 3], skeleton.rest_positions, atol=1e-12)
     np.testing.assert_allclose(pose[:, :3, :3], np.tile(np.eye(3), (len(skeleton.names), 1, 1)), atol=0)
-
-
-def test_skeleton_refuses_cycles_and_double_names() -> None:
-    with pytest.raises(BadMotion, match="parent must come before"):
-        Skeleton(names=("a", "b", "c"), parents=np.array([-1, 2, 1]), offsets=np.zeros((3, 3)))
-    with pytest.raises(BadMotion, match="every joint name once"):
-        Skeleton(names=("a", "a"), parents=np.array([-1, 0]), offsets=np.zeros((2, 3)))
-    with pytest.raises(BadMotion, match="one root"):
-        Skeleton(names=("a", "b"), parents=np.array([-1, -1]), offsets=np.zeros((2, 3)))

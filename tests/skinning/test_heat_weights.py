@@ -16,12 +16,10 @@ from tests.skinning.conftest import tube
 from vntoolkit.__main__ import main
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.mesh import Mesh, MeshSequence, vertex_normals
-from vntoolkit.geometry.motion import Motion, Skeleton, bone_segments, pose_of_frame, rest_pose
-from vntoolkit.geometry.rigid import RigidTransform
+from vntoolkit.geometry.motion import Motion, Skeleton, bone_segments, rest_pose
 from vntoolkit.io.motion.bvh import write_bvh
 from vntoolkit.options.dressing import (
     ArmPose,
-    Blend,
     ClockOptions,
     DressOptions,
     Falloff,
@@ -31,7 +29,6 @@ from vntoolkit.options.dressing import (
 )
 from vntoolkit.pipeline.dress import DressedFigure, dress, read_motion
 from vntoolkit.skinning.attachment import covered_bones, weights_of_garment
-from vntoolkit.skinning.blending import skinned_vertices
 from vntoolkit.skinning.weights import weights_from_distances
 
 HEAT = WeightOptions()
@@ -221,20 +218,6 @@ def test_hardly_a_garment_is_dressed_too(faces: np.ndarray) -> None:
     assert np.isfinite(dressed.frame(0)).all()
 
 
-@pytest.mark.parametrize("blend", list(Blend))
-def test_equation_8_keeps_its_identities(moving_jumper: MeshSequence, blend: Blend) -> None:
-    dressed = dress(moving_jumper, walking_motion(), DressOptions(blend=blend))
-    rest, vertices = dressed.rest_from_model, dressed.template.vertices
-    pose = pose_of_frame(dressed.motion, 20)
-    moved = RigidTransform.from_rotation_vector([0.7, -1.9, 0.4], [3.0, -2.0, 11.0])
-    at_rest, posed, both = (
-        skinned_vertices(vertices, dressed.weights, now, rest, blend)
-        for now in (rest, pose, moved.matrix @ pose)
-    )
-    np.testing.assert_allclose(at_rest, vertices, rtol=0, atol=1e-9)
-    np.testing.assert_allclose(both, moved.apply(posed), rtol=0, atol=1e-9)
-
-
 def test_a_scaled_garment_on_a_scaled_figure_has_the_same_weights(jumper: Mesh) -> None:
     motion = walking_motion().in_metres(1.7)
     skeleton, pose = motion.skeleton, rest_pose(motion.skeleton)
@@ -261,8 +244,6 @@ def test_normals_decide_which_side_is_within(jumper: Mesh) -> None:
 
 
 def test_refusals() -> None:
-    with pytest.raises(BadInput, match="max stretch: expected a factor above 1"):
-        DressOptions(max_stretch=1.0)
     skeleton = walking_motion().skeleton
     with pytest.raises(BadInput, match="use `weights_of_garment`"):
         weights_from_distances(np.zeros((1, 3)), skeleton, rest_pose(skeleton), HEAT)

@@ -4,10 +4,7 @@ from dataclasses import replace
 from itertools import combinations_with_replacement
 
 import numpy as np
-import pytest
 
-from vntoolkit.errors import BadRig
-from vntoolkit.geometry.rectification import Rectification
 from vntoolkit.photometry.gel import TERMS, GelResponse, completed_coefficients
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.tactile.inversion import GelInverter, change_without_drift, drift_of_change
@@ -91,16 +88,3 @@ def test_a_correction_of_the_third_degree_is_one_of_the_fourth(rng) -> None:
     ]
     found = correction_terms(scaled[None], place[None], 9.0) @ completed_coefficients(earlier)
     np.testing.assert_allclose(found[0], np.array(terms) @ earlier, rtol=1e-12)
-
-
-def test_impossible_gels_are_refused() -> None:
-    parts = {"coefficients": np.zeros((TERMS, 2)), "centre_px": np.zeros(2), "scale_px": 40.0, "reach": 0.5}
-    with pytest.raises(BadRig, match="gel: coefficients"):
-        GelResponse(**parts | {"coefficients": np.zeros((3, 2))})
-    with pytest.raises(BadRig, match="positive scale and reach"):
-        GelResponse(**parts | {"reach": 0.0})
-    with pytest.raises(BadRig, match="growing tilts"):
-        GelResponse(**parts, errors_deg=[[3.0, 1.0], [2.0, 1.0]])
-    view = Rectification(corners_px=(0, 0, 9, 0, 0, 9, 9, 9), width_mm=9, height_mm=9, pixel_mm=1)
-    with pytest.raises(BadRig, match="size as filmed"):
-        GelResponse(**parts, rectification=view)

@@ -97,9 +97,7 @@ def test_a_missing_frame_is_held_and_tracking_goes_on(folder: Path, video: Wrink
     assert np.median(sequence.uncertainty_px[7]) < 1.0
 
 
-def test_without_the_footage_it_says_that_paint_is_not_tracked(
-    folder: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_without_the_footage_it_says_that_paint_is_not_tracked(folder, caplog):
     track(TrackJob(folder=folder, options=TrackingOptions(method=Tracker.FLOW)))
     assert "paint" not in caplog.text  # a published method reads none
     track(job(folder), overwrite=True)

@@ -69,9 +69,7 @@ def test_relief_that_turns_into_another_is_followed(monkeypatch: pytest.MonkeyPa
 
 
 @pytest.mark.slow
-def test_what_is_remembered_is_doubted_where_the_template_does_not_match(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_what_is_remembered_is_doubted_where_the_template_does_not_match(monkeypatch):
     """That it follows another relief rightly, nothing but itself says."""
     doubted = on_disc()[1]
     monkeypatch.setattr(surface_fit, "_HALF_WAVE_PX", 0.0)

@@ -332,9 +332,7 @@ def test_shut_lips_are_cut_and_a_seam_may_cross_the_dark_between_them() -> None:
     assert ((column < 9) & (across.min(axis=1) == 15) & (across.max(axis=1) == 16)).sum() == 9
 
 
-def test_which_of_two_guesses_holds_is_one_doubt_for_all_links_and_what_is_held_is_free_of_it(
-    template,
-) -> None:
+def test_which_of_two_guesses_holds_is_one_doubt_for_all_links_and_what_is_held_is_free_of_it(template):
     lattice, lengths, errors = errors_problem(template)
     column = lattice.cells[:, 0]
     held = np.where(column == column.min(), 1e4, 0.0)

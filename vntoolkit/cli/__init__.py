@@ -1,8 +1,8 @@
 """Floor 4, the command line: a verb's file is imported only when the verb is called.
 
 A verb is one typed function (`verb.py`): its argument class, composed of the option classes, is the command
-line and the Python call. It calls `pipeline`, `live`, `report` or a stage, and returns what came of it. Its
-command prints. Neither contains an algorithm.
+line and the Python call. It calls `pipeline`, `live`, `report` or a stage, says what came of it, and returns
+it. Only where it is typed as a command is that printed. It contains no algorithm.
 """
 
 import math
@@ -25,6 +25,8 @@ VERBS: dict[str, str] = {
     "schema": "Print the JSON schema of rig.json or reconstruction.json.",
     "data": "Copy a file that the package ships, such as walk.bvh.",
     "reconstruct": "Compute normals, depth and meshes from footage and a rig.",
+    "photometric-stereo": "Compute normals from photographs under one lamp each.",
+    "integrate": "Compute depth and meshes from anyone's normal maps.",
     "track": "Register all frames of a reconstruction to one mesh.",
     "session": "Reconstruct and track many captures, on one machine or several.",
     "view": "Show results in a browser, or write them as one HTML page.",
@@ -59,6 +61,8 @@ _COMMANDS = {
     "demo": "demo:demo_command",
     "simulate": "simulate:simulate_command",
     "reconstruct": "reconstruct:reconstruct_command",
+    "photometric-stereo": "photometric_stereo:photometric_stereo_command",
+    "integrate": "integrate:integrate_command",
     "track": "track:track_command",
     "session": "session:session_command",
     "view": "view:view_command",
@@ -78,6 +82,8 @@ EXAMPLES: dict[str, str] = {
     "schema": "vntoolkit schema rig",
     "data": "vntoolkit data walk.bvh",
     "reconstruct": "vntoolkit reconstruct capture.mkv --rig rig.json --out result --distance 5",
+    "photometric-stereo": "vntoolkit photometric-stereo photographs --lights lights.txt --out solved",
+    "integrate": "vntoolkit integrate normals.png --out result --focal-px 1200",
     "track": "vntoolkit track result",
     "session": "vntoolkit session take1.mkv take2.mkv --rig rig.json --out day --track",
     "view": "vntoolkit view result",

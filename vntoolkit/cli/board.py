@@ -26,16 +26,12 @@ def write_board(asked: BoardArguments) -> Path:
     """Draw the calibration board to scale, with a scale bar and instructions."""
     out = Path(asked.out)
     write_board_pdf(out, asked.part(BoardLayout), asked.page)
-    return out
-
-
-@command(write_board)
-def board(asked: BoardArguments) -> None:
-    """Draw the board and print what comes next."""
-    out = Path(asked.out)
-    write_board_pdf(out, asked.part(BoardLayout), asked.page)
     say(
         f"{out}: {asked.columns} × {asked.rows} squares of {asked.square_mm:g} mm on {asked.page.name}; "
         "print at 100 % and measure the scale bar"
     )
     print_next("calibrate", "board", "board.mkv", "--square-mm", f"{asked.square_mm:g}", "--out", "rig.json")
+    return out
+
+
+board = command(write_board)

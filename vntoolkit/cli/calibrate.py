@@ -9,9 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from vntoolkit.calibration.ball_lamps import LitBall
-from vntoolkit.calibration.board import BoardCalibration
 from vntoolkit.calibration.fit import ResponseFit
-from vntoolkit.calibration.sphere import SphereCalibration
 from vntoolkit.cli.given import curve_from_text, rectification_from_corners, rig_with_corners
 from vntoolkit.cli.output import JSON, MESH, PAGE, PICTURE, ProgressBars, print_next, require_output, say
 from vntoolkit.cli.verb import command, verb
@@ -36,7 +34,7 @@ from vntoolkit.options.calibration import (
     ResponseFitOptions,
     SphereOptions,
 )
-from vntoolkit.options.footage import MatteOptions, ReadingLimits, SensorOptions
+from vntoolkit.options.footage import MatteOptions, PictureLimits, SensorOptions
 from vntoolkit.options.head import (
     FollowOptions,
     FusionOptions,
@@ -67,11 +65,9 @@ from vntoolkit.tactile.fit import GelFit
 
 @dataclass(frozen=True, kw_only=True)
 class FootageArguments(
-    FrameOptions, BackgroundOptions, CurveOptions, SensorOptions, AllowOptions, ReadingLimits
+    FrameOptions, BackgroundOptions, CurveOptions, SensorOptions, AllowOptions, PictureLimits
 ):
     """What the calibrations ask of their footage."""
-
-    WITHOUT: ClassVar[tuple[str, ...]] = ("max_vertices",)
 
     out: File
     """The rig.json to write."""
@@ -113,28 +109,18 @@ class SphereArguments(FootageArguments, MatteOptions, SphereOptions, ResponseFit
     Default: the outline is detected."""
 
 
-def _sphere(asked: SphereArguments) -> tuple[Rig, CalibrationJob, SphereCalibration]:
-    job = asked.job(str(asked.source), mask=asked.mask, matting=asked.part(MatteOptions))
-    rig, result = calibrate.calibrate_sphere(job, asked.part(SphereOptions))
-    _keep(Path(asked.out), rig, job, result.fit)
-    return rig, job, result
-
-
 @verb(SphereArguments)
 def calibrate_sphere(asked: SphereArguments) -> Rig:
     """Calibrate on a matte ball of the material, at rest under all lights, or one after the other."""
-    return _sphere(asked)[0]
-
-
-@command(calibrate_sphere)
-def sphere(asked: SphereArguments) -> None:
-    """Print the ball, the rig and the lamps."""
-    rig, _, result = _sphere(asked)
+    job = asked.job(str(asked.source), mask=asked.mask, matting=asked.part(MatteOptions))
+    rig, result = calibrate.calibrate_sphere(job, asked.part(SphereOptions))
+    _keep(Path(asked.out), rig, job, result.fit)
     (u, v), radius = result.outline.centre_px, result.outline.radius_px
     report_rig(Path(asked.out), rig, f"ball at ({u:.1f}, {v:.1f}), radius {radius:.1f} px")
     if result.lit is not None:
         _report_lamps(result.lit, rig.camera.is_perspective)
     _print_what_is_next(asked.out)
+    return rig
 
 
 def _report_lamps(lit: LitBall, is_perspective: bool) -> None:
@@ -155,38 +141,28 @@ class BoardArguments(FootageArguments, BoardOptions, IntrinsicsOptions, Response
     """A video, a folder of images, or a pattern."""
 
 
-def _board(asked: BoardArguments) -> tuple[Rig, BoardCalibration]:
+@verb(BoardArguments)
+def calibrate_board(asked: BoardArguments) -> Rig:
+    """Calibrate on the printed board, tilted in all directions, with the subject's material in its hole."""
     job = asked.job(str(asked.source))
     with ProgressBars() as bars:
         rig, result = calibrate.calibrate_board(
             job, asked.part(BoardLayout), asked.part(BoardOptions), partial(bars.reach, "find the board")
         )
     _keep(Path(asked.out), rig, job, result.fit)
-    return rig, result
-
-
-@verb(BoardArguments)
-def calibrate_board(asked: BoardArguments) -> Rig:
-    """Calibrate on the printed board, tilted in all directions, with the subject's material in its hole."""
-    return _board(asked)[0]
-
-
-@command(calibrate_board)
-def board(asked: BoardArguments) -> None:
-    """Print the poses, the camera and the rig."""
-    rig, result = _board(asked)
     error = np.median([pose.error_px for pose in result.poses])
     focal = result.camera.matrix[0, 0]
     seen = f"{len(result.poses)} poses to {error:.2f} px, focal length {focal:.0f} px"
     report_rig(Path(asked.out), rig, seen)
     _print_what_is_next(asked.out)
+    return rig
 
 
 @dataclass(frozen=True, kw_only=True)
 class LightsArguments(FootageArguments):
     """What `calibrate_lights` takes."""
 
-    WITHOUT: ClassVar[tuple[str, ...]] = ("max_vertices", "background", "single_light", "frames")
+    WITHOUT: ClassVar[tuple[str, ...]] = ("background", "single_light", "frames")
 
     source: File = field(kw_only=False)
     """A DiLiGenT folder (light_directions.txt, light_intensities.txt, filenames.txt), or a text file with a
@@ -199,27 +175,17 @@ class LightsArguments(FootageArguments):
     """Use the intensities as the lights' colours, or assume that channel k sees only light k."""
 
 
-def _lights(asked: LightsArguments) -> Rig:
+@verb(LightsArguments)
+def calibrate_lights(asked: LightsArguments) -> Rig:
+    """Compute a rig from known light directions and strengths."""
     job = asked.job(str(asked.source))
     like = None if asked.like is None else str(asked.like)
     rig = calibrate.calibrate_lights(Path(asked.source), like, asked.lights, asked.light_colours, job)
     _keep(Path(asked.out), rig, job)
-    return rig
-
-
-@verb(LightsArguments)
-def calibrate_lights(asked: LightsArguments) -> Rig:
-    """Compute a rig from known light directions and strengths."""
-    return _lights(asked)
-
-
-@command(calibrate_lights)
-def lights(asked: LightsArguments) -> None:
-    """Print the rig."""
-    rig = _lights(asked)
     numbers = ", ".join(map(str, asked.lights))
     report_rig(Path(asked.out), rig, f"lights {numbers} of {asked.source}")
     _print_what_is_next(asked.out)
+    return rig
 
 
 def _print_what_is_next(out: File) -> None:
@@ -269,7 +235,7 @@ class HeadArguments(
 ):  # fmt: skip
     """What `calibrate_head` takes."""
 
-    WITHOUT: ClassVar[tuple[str, ...]] = ("max_vertices", "single_light", "neighbour_angles_deg")
+    WITHOUT: ClassVar[tuple[str, ...]] = ("single_light", "neighbour_angles_deg")
 
     source: Source = field(kw_only=False)
     """A video, a folder of images, or a pattern."""
@@ -283,7 +249,12 @@ class HeadArguments(
     """Also write a page about tracks, poses, shape, samples and lights, .html."""
 
 
-def _head(asked: HeadArguments) -> tuple[Rig, HeadCalibration]:
+@verb(HeadArguments)
+def calibrate_head(asked: HeadArguments) -> Rig:
+    """Calibrate on a bare head that turns fully left and right, with a fixed expression, in a dark room.
+
+    60 to 120 frames are enough.
+    """
     require_installed("pycolmap", "pycolmap", "calibrate head adjusts poses by pycolmap")
     job = asked.job(str(asked.source))
     for path, suffixes in ((asked.mesh, MESH), (asked.figure, PICTURE), (asked.report, PAGE)):
@@ -301,22 +272,13 @@ def _head(asked: HeadArguments) -> tuple[Rig, HeadCalibration]:
         from vntoolkit.report.head import write_head_page
 
         write_head_page(asked.report, job, rig, result)
-    return rig, result
+    _report_head(asked, rig, result)
+    _print_what_is_next(asked.out)
+    return rig
 
 
-@verb(HeadArguments)
-def calibrate_head(asked: HeadArguments) -> Rig:
-    """Calibrate on a bare head that turns fully left and right, with a fixed expression, in a dark room.
-
-    60 to 120 frames are enough.
-    """
-    return _head(asked)[0]
-
-
-@command(calibrate_head)
-def head(asked: HeadArguments) -> None:
+def _report_head(asked: HeadArguments, rig: Rig, result: HeadCalibration) -> None:
     """Print the poses, the rig and the shape."""
-    rig, result = _head(asked)
     motion = result.motion
     seen = (
         f"{len(motion.camera_from_head)} poses over {motion.turn_deg:.0f} degrees, "
@@ -332,14 +294,11 @@ def head(asked: HeadArguments) -> None:
         error = np.median(result.refined.error_percent)
         say(f"  shape             {error:.2f} % of its diagonal expected error, median")
     say("  time              " + ", ".join(f"{k} {s:.0f} s" for k, s in result.stage_seconds.items()))
-    _print_what_is_next(asked.out)
 
 
 @dataclass(frozen=True, kw_only=True)
-class PressesArguments(CornerOptions, CurveOptions, AllowOptions, SensorOptions, PressOptions, ReadingLimits):
+class PressesArguments(CornerOptions, CurveOptions, AllowOptions, SensorOptions, PressOptions, PictureLimits):
     """What `calibrate_presses` takes."""
-
-    WITHOUT: ClassVar[tuple[str, ...]] = ("max_vertices",)
 
     source: Source = field(kw_only=False)
     """A folder or pattern of images, one for each press."""
@@ -360,7 +319,14 @@ class PressesArguments(CornerOptions, CurveOptions, AllowOptions, SensorOptions,
     """Width and height of the image that the labels refer to; default: the rectified one."""
 
 
-def _presses(asked: PressesArguments) -> pipeline.PressCalibration:
+@verb(PressesArguments)
+def calibrate_presses(asked: PressesArguments) -> Rig:
+    """Calibrate a tactile sensor on presses of a ball of known size into its gel.
+
+    The contact circles are found. The rig keeps --corners, so that `reconstruct` and `live` rectify without
+    being told; give both a --background, the gel untouched. Depth is 0 at the untouched gel and negative in a
+    dent, which is nearer to the camera.
+    """
     require_known_checks(asked.allow)
     require_output(Path(asked.out), JSON)
     if asked.overlay is not None:
@@ -386,30 +352,13 @@ def _presses(asked: PressesArguments) -> pipeline.PressCalibration:
         )
     judge([*result.findings, *check_lamps(result.rig), *check_residual(result.rig)], asked.allow)
     write_rig(Path(asked.out), result.rig)
-    return result
-
-
-@verb(PressesArguments)
-def calibrate_presses(asked: PressesArguments) -> Rig:
-    """Calibrate a tactile sensor on presses of a ball of known size into its gel.
-
-    The contact circles are found. The rig keeps --corners, so that `reconstruct` and `live` rectify without
-    being told; give both a --background, the gel untouched. Depth is 0 at the untouched gel and negative in a
-    dent, which is nearer to the camera.
-    """
-    return _presses(asked).rig
-
-
-@command(calibrate_presses)
-def presses(asked: PressesArguments) -> None:
-    """Print the rig, the circles and the scale."""
-    result = _presses(asked)
     report_rig(Path(asked.out), result.rig, f"presses of {asked.source}")
     _report_presses(result, asked)
     background = str(asked.background)
     print_next(
         "reconstruct", "touch.mkv", "--rig", str(asked.out), "--background", background, "--out", "touch"
     )
+    return result.rig
 
 
 def _report_presses(result: pipeline.PressCalibration, asked: PressesArguments) -> None:
@@ -441,10 +390,8 @@ def _moves(fit: GelFit) -> str:
 
 
 @dataclass(frozen=True, kw_only=True)
-class RectifyArguments(CornerOptions, CurveOptions, SensorOptions, ReadingLimits):
+class RectifyArguments(CornerOptions, CurveOptions, SensorOptions, PictureLimits):
     """What `rectify` takes."""
-
-    WITHOUT: ClassVar[tuple[str, ...]] = ("max_vertices",)
 
     source: Source = field(kw_only=False)
     """A video, an image, a folder of images, or a pattern."""
@@ -459,8 +406,9 @@ class RectifyArguments(CornerOptions, CurveOptions, SensorOptions, ReadingLimits
     """Replace the images that the folder holds."""
 
 
-def _rectified(asked: RectifyArguments) -> tuple[int, Rectification, Capture]:
-    """Return how many images were written, how, and what was read."""
+@verb(RectifyArguments)
+def rectify(asked: RectifyArguments) -> Path:
+    """Resample footage of a tilted plane to square pixels of known size; return the folder."""
     known = None if asked.rig is None else read_rig(asked.rig)
     curve = curve_from_text(asked.transfer) or (None if known is None else known.transfer)
     options = CaptureOptions(transfer=curve, sensor=asked.part(SensorOptions))
@@ -470,7 +418,8 @@ def _rectified(asked: RectifyArguments) -> tuple[int, Rectification, Capture]:
         count = pipeline.rectify_capture(
             capture, rectification, Path(asked.out), partial(bars.reach, "rectify"), overwrite=asked.overwrite
         )
-    return count, rectification, capture
+    _report_rectified(asked, count, rectification, capture)
+    return Path(asked.out)
 
 
 def _rectification(asked: RectifyArguments, known: Rig | None, filmed: tuple[int, int]) -> Rectification:
@@ -491,17 +440,10 @@ def _rectification(asked: RectifyArguments, known: Rig | None, filmed: tuple[int
     return known.gel.rectification
 
 
-@verb(RectifyArguments)
-def rectify(asked: RectifyArguments) -> Path:
-    """Resample footage of a tilted plane to square pixels of known size; return the folder."""
-    _rectified(asked)
-    return Path(asked.out)
-
-
-@command(rectify)
-def rectify_command(asked: RectifyArguments) -> None:
+def _report_rectified(
+    asked: RectifyArguments, count: int, rectification: Rectification, capture: Capture
+) -> None:
     """Print what was written and left out."""
-    count, rectification, capture = _rectified(asked)
     width, height = rectification.size
     source = Path(asked.source)
     if source.is_dir():
@@ -511,3 +453,11 @@ def rectify_command(asked: RectifyArguments) -> None:
     say(f"{asked.out}: {count} images of {width}×{height}, {rectification.pixel_mm:g} mm a pixel")
     ball = ("--ball-radius-mm", "2", "--pixel-mm", f"{rectification.pixel_mm:g}")
     print_next("calibrate", "presses", str(asked.out), "--background", "gel.png", *ball, "--out", "gel.json")
+
+
+sphere = command(calibrate_sphere)
+board = command(calibrate_board)
+lights = command(calibrate_lights)
+head = command(calibrate_head)
+presses = command(calibrate_presses)
+rectify_command = command(rectify)

@@ -8,7 +8,7 @@ from vntoolkit.cli.verb import command, verb
 from vntoolkit.options.base import File
 from vntoolkit.options.shared import JobOptions
 from vntoolkit.options.simulation import DemoOptions
-from vntoolkit.pipeline.demo import DemoFolder, run_demo
+from vntoolkit.pipeline.demo import GARMENT, RECONSTRUCTION, run_demo
 from vntoolkit.pipeline.opened_result import OpenedResult, open_result
 from vntoolkit.pipeline.truth_comparison import compare_frame_with_truth
 from vntoolkit.report.report import write_report
@@ -25,16 +25,6 @@ class DemoArguments(DemoOptions, JobOptions):
     """Replace what the folder holds."""
 
 
-def _shown(asked: DemoArguments) -> tuple[DemoFolder, OpenedResult, Path]:
-    folder = DemoFolder(root=Path(asked.out))
-    with ProgressBars() as bars:
-        options = asked.part(DemoOptions)
-        run_demo(folder, options, jobs=asked.jobs, overwrite=asked.overwrite, on_progress=bars.reach)
-    result = open_result(folder.reconstruction)
-    extra = [truth_section(result, folder.garment)]
-    return folder, result, write_report(folder.reconstruction, folder.root / "report.html", extra=extra)
-
-
 @verb(DemoArguments)
 def demo(asked: DemoArguments) -> OpenedResult:
     """Simulate a board and a dancer's sweater, calibrate, reconstruct, and compare with the truth.
@@ -42,18 +32,24 @@ def demo(asked: DemoArguments) -> OpenedResult:
     Takes a minute on two cores; where set-up has not compiled the loops, 20 s more the first time. An
     interrupted run continues where it stopped.
     """
-    return _shown(asked)[1]
-
-
-@command(demo)
-def demo_command(asked: DemoArguments) -> None:
-    """Print how far the normals are from the truth, and where the results are."""
-    folder, result, page = _shown(asked)
-    middle = compare_frame_with_truth(result, folder.garment, result.numbers[len(result.numbers) // 2])
+    root = Path(asked.out)
+    with ProgressBars() as bars:
+        run_demo(
+            root, asked.part(DemoOptions), jobs=asked.jobs, overwrite=asked.overwrite,
+            on_start=bars.begin, on_frame=bars.step,
+        )  # fmt: skip
+    made, truth = root / RECONSTRUCTION, root / GARMENT
+    result = open_result(made)
+    page = write_report(made, root / "report.html", extra=[truth_section(result, truth)])
+    middle = compare_frame_with_truth(result, truth, result.numbers[len(result.numbers) // 2])
     say(
         f"normals are {middle.normals.median_deg:.1f} degrees from the truth "
         f"(median of frame {middle.number})"
     )
-    say(f"meshes, one per frame: {folder.reconstruction / 'mesh'}")
+    say(f"meshes, one per frame: {made / 'mesh'}")
     say(f"report: {page}")
-    print_next("view", folder.reconstruction)
+    print_next("view", made)
+    return result
+
+
+demo_command = command(demo)

@@ -10,9 +10,10 @@ import sys
 import tempfile
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.markup import escape
@@ -24,7 +25,7 @@ from vntoolkit.cli.output import print_next
 from vntoolkit.cli.verb import command, verb
 from vntoolkit.errors import BadCapture, BadInput, escaped
 from vntoolkit.options.base import OptionalFile, as_path, named
-from vntoolkit.options.footage import Gaps, MatteOptions, ReadingLimits, SensorOptions
+from vntoolkit.options.footage import Gaps, MatteOptions, PictureLimits, SensorOptions
 from vntoolkit.options.shared import BackgroundOptions
 
 if TYPE_CHECKING:
@@ -58,10 +59,8 @@ _COLOURS = {"note": "cyan", "warning": "yellow", "fatal": "red"}
 
 
 @dataclass(frozen=True, kw_only=True)
-class DoctorArguments(BackgroundOptions, MatteOptions, SensorOptions, ReadingLimits):
+class DoctorArguments(BackgroundOptions, MatteOptions, SensorOptions, PictureLimits):
     """What `inspect_footage` takes."""
-
-    WITHOUT: ClassVar[tuple[str, ...]] = ("max_vertices",)
 
     source: str | os.PathLike[str] | None = field(default=None, kw_only=False)
     """A video, an image, a folder of images, or a pattern. Without it, the libraries are checked."""
@@ -75,7 +74,9 @@ class DoctorArguments(BackgroundOptions, MatteOptions, SensorOptions, ReadingLim
     rig's, else the one that the file states, else linear."""
 
 
-def _inspected(asked: DoctorArguments) -> CaptureReport:
+@verb(DoctorArguments)
+def inspect_footage(asked: DoctorArguments) -> CaptureReport:
+    """Check the installation, or check footage for faults that spoil normals."""
     from vntoolkit.diagnosis.inspection import inspect_capture
     from vntoolkit.io.footage.captures import CaptureOptions
     from vntoolkit.io.rigs import read_rig
@@ -99,20 +100,14 @@ def _inspected(asked: DoctorArguments) -> CaptureReport:
     )
 
 
-@verb(DoctorArguments)
-def inspect_footage(asked: DoctorArguments) -> CaptureReport:
-    """Check the installation, or check footage for faults that spoil normals."""
-    return _inspected(asked)
-
-
-@command(inspect_footage)
+@partial(command, inspect_footage)
 def doctor(asked: DoctorArguments) -> int:
     """Print what was found; 1 where something is broken or fatal."""
     if asked.source is None:
         return _check_libraries(Console())
     from vntoolkit.diagnosis.finding import Level
 
-    report = _inspected(asked)
+    report: CaptureReport = inspect_footage.run(asked)  # type: ignore[attr-defined]
     _print_report(Console(emoji=False), str(asked.source), report)
     fatal = any(finding.level is Level.FATAL for finding in report.findings)
     if not fatal:

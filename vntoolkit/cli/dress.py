@@ -4,7 +4,6 @@ import contextlib
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import ClassVar
 
 from vntoolkit.cli.output import MESH, ProgressBars, print_next_program, require_output, say
 from vntoolkit.cli.verb import command, verb
@@ -12,10 +11,8 @@ from vntoolkit.io.motion.garment_fits import read_garment_fit
 from vntoolkit.io.results.folder import read_lock, write_lock
 from vntoolkit.options.base import File, OptionalFile, named
 from vntoolkit.options.dressing import ClockOptions, DressOptions, GarmentFitOptions, WeightOptions
-from vntoolkit.options.footage import ReadingLimits
+from vntoolkit.options.footage import MeshLimits
 from vntoolkit.pipeline.dress import (
-    DressedFigure,
-    DressSummary,
     captured_look,
     read_motion,
     read_tracked_cloth,
@@ -27,10 +24,8 @@ from vntoolkit.report.mesh_views import write_preview
 
 
 @dataclass(frozen=True, kw_only=True)
-class DressArguments(DressOptions, GarmentFitOptions, WeightOptions, ClockOptions, ReadingLimits):
+class DressArguments(DressOptions, GarmentFitOptions, WeightOptions, ClockOptions, MeshLimits):
     """What `dress` takes."""
-
-    WITHOUT: ClassVar[tuple[str, ...]] = ("max_megapixels",)
 
     folder: File = field(kw_only=False)
     """Folder that `vntoolkit track` wrote."""
@@ -53,7 +48,9 @@ def _preview_name(out: Path) -> str:
     return out.stem.split("%")[0].rstrip("_") or "dress"
 
 
-def _dressed(asked: DressArguments) -> tuple[DressedFigure, DressSummary]:
+@verb(DressArguments)
+def dress(asked: DressArguments) -> Path:
+    """Attach a mesh registered by `vntoolkit track` to a skeleton animated by motion capture."""
     folder, out = Path(asked.folder), Path(asked.out)
     require_figure_name(out)
     require_output(out)
@@ -74,21 +71,6 @@ def _dressed(asked: DressArguments) -> tuple[DressedFigure, DressSummary]:
                     out.parent, _preview_name(out), dressed,
                     on_start=partial(bars.begin, "preview"), on_picture=bars.step,
                 )  # fmt: skip
-    return dressed, summary
-
-
-@verb(DressArguments)
-def dress(asked: DressArguments) -> Path:
-    """Attach a mesh registered by `vntoolkit track` to a skeleton animated by motion capture."""
-    _dressed(asked)
-    return Path(asked.out)
-
-
-@command(dress)
-def dress_command(asked: DressArguments) -> None:
-    """Print what was written and how it is worn."""
-    dressed, summary = _dressed(asked)
-    out = Path(asked.out)
     cut = f"; {dressed.cut_triangles} triangles cut" if dressed.cut_triangles else ""
     rate = f"{dressed.clock.frame_rate_hz:g} frames per second"
     say(f"{out}: {summary.frames} frames of {len(dressed.template.vertices)} vertices, {rate}{cut}")
@@ -99,3 +81,7 @@ def dress_command(asked: DressArguments) -> None:
         stem = _preview_name(out)
         say(f"{out.parent / stem}_sheet.png, {stem}_turntable.mkv")
     print_next_program(out.with_name(out.name % 0) if out.suffix.lower() in MESH else out)
+    return out
+
+
+dress_command = command(dress)

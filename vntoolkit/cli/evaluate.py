@@ -5,7 +5,6 @@ import logging
 from dataclasses import dataclass, field
 from operator import attrgetter
 from pathlib import Path
-from typing import ClassVar
 
 import numpy as np
 
@@ -24,7 +23,7 @@ from vntoolkit.io.results.folder import write_lock
 from vntoolkit.options.base import File, Named, OptionalFile, Options, as_path, named
 from vntoolkit.options.evaluation import Alignment, AlignmentOptions, MeasuredBy, MeasuredByName
 from vntoolkit.options.export import NormalConvention, NormalConventionName
-from vntoolkit.options.footage import ReadingLimits
+from vntoolkit.options.footage import MeshLimits, PictureLimits
 from vntoolkit.options.shared import FrameOptions, MovedFootageOptions
 from vntoolkit.pipeline import evaluate
 from vntoolkit.pipeline.evaluate import evaluate_cylinder as run
@@ -49,10 +48,8 @@ class _Written(Options):
 
 
 @dataclass(frozen=True, kw_only=True)
-class NormalsArguments(_Written, ReadingLimits):
+class NormalsArguments(_Written, PictureLimits):
     """What `evaluate_normal_files` takes."""
-
-    WITHOUT: ClassVar[tuple[str, ...]] = ("max_vertices",)
 
     measured: File = field(kw_only=False)
     """A normal map, EXR or PNG, or a folder of them, such as `vntoolkit reconstruct` writes."""
@@ -64,7 +61,13 @@ class NormalsArguments(_Written, ReadingLimits):
     """Axes of the reference."""
 
 
-def _normals(asked: NormalsArguments) -> evaluate.NormalsComparison:
+@verb(NormalsArguments)
+def evaluate_normal_files(asked: NormalsArguments) -> evaluate.NormalsComparison:
+    """Print the angles in degrees between two normal maps, or between two folders of normal maps.
+
+    Writes normals.json, the map of the worst frame's errors (normals_map.png) and the cumulative curve
+    (normals_curve.png).
+    """
     measured, reference, out = Path(asked.measured), Path(asked.reference), Path(asked.out)
     require_output(out / "normals.json")
     with write_lock(out):
@@ -81,30 +84,14 @@ def _normals(asked: NormalsArguments) -> evaluate.NormalsComparison:
         figures.write_cumulative_errors(
             out / "normals_curve.png", {"all frames": found.curve_deg}, title, "degrees"
         )
-    return found
-
-
-@verb(NormalsArguments)
-def evaluate_normal_files(asked: NormalsArguments) -> evaluate.NormalsComparison:
-    """Print the angles in degrees between two normal maps, or between two folders of normal maps.
-
-    Writes normals.json, the map of the worst frame's errors (normals_map.png) and the cumulative curve
-    (normals_curve.png).
-    """
-    return _normals(asked)
-
-
-@command(evaluate_normal_files)
-def normals(asked: NormalsArguments) -> None:
-    """Print a table of the angles."""
-    found = _normals(asked)
     step = max(1, -(-len(found.frames) // _LINES))
     rows = [error_row(name, error) for name, error in list(found.frames.items())[::step]]
     if len(found.frames) > 1:
         rows.append(error_row("all", found.overall))
     print_table("degrees between the normals", COLUMNS, rows)
     say(f"{asked.out}: normals.json, normals_map.png, normals_curve.png")
-    _print_what_is_next(Path(asked.measured))
+    _print_what_is_next(measured)
+    return found
 
 
 def error_row(name: str, error: AngularError) -> list[str]:
@@ -115,10 +102,8 @@ def error_row(name: str, error: AngularError) -> list[str]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class MeshArguments(_Written, AlignmentOptions, ReadingLimits):
+class MeshArguments(_Written, AlignmentOptions, MeshLimits):
     """What `evaluate_mesh` takes."""
-
-    WITHOUT: ClassVar[tuple[str, ...]] = ("max_megapixels",)
 
     mesh: File = field(kw_only=False)
     """A PLY or OBJ file."""
@@ -137,7 +122,14 @@ class MeshEvaluation:
     quality: dict[str, mesh_comparison.MeshQuality]
 
 
-def _mesh(asked: MeshArguments) -> MeshEvaluation:
+@verb(MeshArguments)
+def evaluate_mesh(asked: MeshArguments) -> MeshEvaluation:
+    """Print the distances between a mesh and a reference, in both directions, and the quality of both.
+
+    A distance goes from a vertex of one mesh to the nearest point on the faces of the other. A file without
+    faces is a point cloud: distances to it go to its points. Quality counts holes, non-manifold edges and the
+    like. Writes mesh.json and mesh_curve.png.
+    """
     mesh, out = Path(asked.mesh), Path(asked.out)
     reference = as_path(asked.reference)
     require_output(out / "mesh.json")
@@ -164,7 +156,9 @@ def _mesh(asked: MeshArguments) -> MeshEvaluation:
             if isinstance(surface, Mesh)
         }
         write_json(out / "mesh.json", {**content, "quality": quality})
-    return MeshEvaluation(distance=distance, scale=scale, quality=quality)
+    found = MeshEvaluation(distance=distance, scale=scale, quality=quality)
+    _print_mesh(asked, found)
+    return found
 
 
 def _compared(
@@ -184,21 +178,8 @@ def _compared(
     return distance, motion.scale, to_reference
 
 
-@verb(MeshArguments)
-def evaluate_mesh(asked: MeshArguments) -> MeshEvaluation:
-    """Print the distances between a mesh and a reference, in both directions, and the quality of both.
-
-    A distance goes from a vertex of one mesh to the nearest point on the faces of the other. A file without
-    faces is a point cloud: distances to it go to its points. Quality counts holes, non-manifold edges and the
-    like. Writes mesh.json and mesh_curve.png.
-    """
-    return _mesh(asked)
-
-
-@command(evaluate_mesh)
-def mesh(asked: MeshArguments) -> None:
+def _print_mesh(asked: MeshArguments, found: MeshEvaluation) -> None:
     """Print tables of the distances and of the quality."""
-    found = _mesh(asked)
     alignment = asked.part(AlignmentOptions).align
     if found.distance is not None:
         _print_distance(found.distance)
@@ -258,10 +239,8 @@ def _print_quality(qualities: dict[str, mesh_comparison.MeshQuality]) -> None:
 
 
 @dataclass(frozen=True, kw_only=True)
-class CylinderArguments(_Written, FrameOptions, MovedFootageOptions, ReadingLimits):
+class CylinderArguments(_Written, FrameOptions, MovedFootageOptions, PictureLimits):
     """What `evaluate_cylinder` takes."""
-
-    WITHOUT: ClassVar[tuple[str, ...]] = ("max_vertices",)
 
     folder: File = field(kw_only=False)
     """The folder that `vntoolkit reconstruct` wrote."""
@@ -269,7 +248,12 @@ class CylinderArguments(_Written, FrameOptions, MovedFootageOptions, ReadingLimi
     """The folder that `vntoolkit simulate` wrote. With it, the fit itself is compared with the truth."""
 
 
-def _cylinder(asked: CylinderArguments) -> evaluate.CylinderEvaluation:
+@verb(CylinderArguments)
+def evaluate_cylinder(asked: CylinderArguments) -> evaluate.CylinderEvaluation:
+    """Fit one cylinder to a reconstruction of a moving cylinder; compare the normals with it (Figure 7).
+
+    Writes cylinder.json and cylinder.png.
+    """
     out = Path(asked.out)
     require_output(out / "cylinder.json")
     with write_lock(out):
@@ -281,24 +265,10 @@ def _cylinder(asked: CylinderArguments) -> evaluate.CylinderEvaluation:
         mean, std = (np.array([getattr(e, name) for e in found.frames]) for name in ("mean_deg", "std_deg"))
         title = f"{found.mean_deg:.2f} ± {found.std_deg:.2f} degrees over all frames"
         figures.write_error_over_time(out / "cylinder.png", np.array(found.times_s), mean, std, title)
-    return found
-
-
-@verb(CylinderArguments)
-def evaluate_cylinder(asked: CylinderArguments) -> evaluate.CylinderEvaluation:
-    """Fit one cylinder to a reconstruction of a moving cylinder; compare the normals with it (Figure 7).
-
-    Writes cylinder.json and cylinder.png.
-    """
-    return _cylinder(asked)
-
-
-@command(evaluate_cylinder)
-def cylinder(asked: CylinderArguments) -> None:
-    """Print a table of the frames."""
-    _print(_cylinder(asked))
+    _print(found)
     say(f"{asked.out}: cylinder.json, cylinder.png")
     _print_what_is_next(Path(asked.folder))
+    return found
 
 
 def _print(found: evaluate.CylinderEvaluation) -> None:
@@ -330,10 +300,8 @@ def _print(found: evaluate.CylinderEvaluation) -> None:
 
 
 @dataclass(frozen=True, kw_only=True)
-class TracksArguments(_Written, ReadingLimits):
+class TracksArguments(_Written, MeshLimits):
     """What `evaluate_tracks` takes."""
-
-    WITHOUT: ClassVar[tuple[str, ...]] = ("max_megapixels",)
 
     folders: tuple[File, ...] = field(kw_only=False)
     """The folders that `vntoolkit track` wrote, or the folders that contain them as `track`."""
@@ -346,7 +314,15 @@ class TracksArguments(_Written, ReadingLimits):
     used."""
 
 
-def _tracks(asked: TracksArguments) -> dict[str, list[TrackError]]:
+@verb(TracksArguments)
+def evaluate_tracks(asked: TracksArguments) -> dict[str, list[TrackError]]:
+    """Print the end-point error of each frame in pixels, for all visible vertices and without the lost ones.
+
+    A vertex counts in a frame if its true point is visible there. `outliers`: percentage of these vertices
+    with an error above 4 pixels. `lost`: percentage that the tracker reports as lost. The last two columns
+    leave the lost vertices out: read them together with that percentage. Writes a tab-separated table of all
+    evaluated frames for each folder, NAME.tsv, and the error over the frames, tracks.png.
+    """
     out = Path(asked.out)
     if asked.every < 1:
         raise BadInput(f"every: expected 1 or more, got {asked.every}")
@@ -366,29 +342,11 @@ def _tracks(asked: TracksArguments) -> dict[str, list[TrackError]]:
         for name, errors in results.items():
             evaluate.write_track_errors(tables[name], errors)
         figures.write_error_plot(out / "tracks.png", results)
-    return results
-
-
-@verb(TracksArguments)
-def evaluate_tracks(asked: TracksArguments) -> dict[str, list[TrackError]]:
-    """Print the end-point error of each frame in pixels, for all visible vertices and without the lost ones.
-
-    A vertex counts in a frame if its true point is visible there. `outliers`: percentage of these vertices
-    with an error above 4 pixels. `lost`: percentage that the tracker reports as lost. The last two columns
-    leave the lost vertices out: read them together with that percentage. Writes a tab-separated table of all
-    evaluated frames for each folder, NAME.tsv, and the error over the frames, tracks.png.
-    """
-    return _tracks(asked)
-
-
-@command(evaluate_tracks)
-def tracks(asked: TracksArguments) -> None:
-    """Print a table of the frames for each folder."""
-    results = _tracks(asked)
     for name, errors in results.items():
         _print_table(name, errors)
     say(f"{asked.out}: {', '.join(f'{name}.tsv' for name in results)}, tracks.png")
     _print_what_is_next(Path(asked.folders[0]))
+    return results
 
 
 def _name(folder: Path) -> str:
@@ -409,10 +367,8 @@ def _print_table(name: str, errors: list[TrackError]) -> None:
 
 
 @dataclass(frozen=True, kw_only=True)
-class IntegrationArguments(_Written, ReadingLimits):
+class IntegrationArguments(_Written, PictureLimits):
     """What `evaluate_integration` takes."""
-
-    WITHOUT: ClassVar[tuple[str, ...]] = ("max_vertices",)
 
     data: OptionalFile = named(None)
     """Folder with one folder per real object: normal_map.png, mask.png, K.txt, depth_gt.npz (millimetres)."""
@@ -428,7 +384,13 @@ class IntegrationEvaluation:
     objects: list[evaluate.ObjectError]
 
 
-def _integration(asked: IntegrationArguments) -> IntegrationEvaluation:
+@verb(IntegrationArguments)
+def evaluate_integration(asked: IntegrationArguments) -> IntegrationEvaluation:
+    """Print the depth error of every integrator on analytic surfaces, and on real objects if given.
+
+    Writes integration.json, the cumulative errors on the surface with a depth step (integration_curve.png)
+    and the error map of the last integrator (integration_map.png).
+    """
     out = Path(asked.out)
     require_output(out / "integration.json")
     with write_lock(out):
@@ -457,23 +419,13 @@ def _integration(asked: IntegrationArguments) -> IntegrationEvaluation:
             figures.write_error_map(
                 out / "integration_map.png", last.distances_percent, last.mask, title, "% of the range"
             )
-    return IntegrationEvaluation(surfaces=rows, objects=real)
+    found = IntegrationEvaluation(surfaces=rows, objects=real)
+    _print_integration(out, found)
+    return found
 
 
-@verb(IntegrationArguments)
-def evaluate_integration(asked: IntegrationArguments) -> IntegrationEvaluation:
-    """Print the depth error of every integrator on analytic surfaces, and on real objects if given.
-
-    Writes integration.json, the cumulative errors on the surface with a depth step (integration_curve.png)
-    and the error map of the last integrator (integration_map.png).
-    """
-    return _integration(asked)
-
-
-@command(evaluate_integration)
-def integration(asked: IntegrationArguments) -> None:
+def _print_integration(out: Path, found: IntegrationEvaluation) -> None:
     """Print tables of the errors."""
-    found = _integration(asked)
     columns = ["surface", "integrator", "mean", "rms", "largest"]
     table = [
         [r.surface, r.integrator, *(f"{r.numbers[n]:.2e}" for n in ("mean", "rms", "largest"))]
@@ -484,7 +436,7 @@ def integration(asked: IntegrationArguments) -> None:
         table = [[e.name, e.integrator, f"{e.mean_mm:.3f}", f"{e.median_mm:.3f}"] for e in found.objects]
         columns = ["object", "integrator", "mean", "median"]
         print_table("depth error on real objects, mm", columns, table, names=2)
-    say(f"{asked.out}: integration.json, integration_curve.png, integration_map.png")
+    say(f"{out}: integration.json, integration_curve.png, integration_map.png")
     chosen = ("--integrator", "discontinuity", "--out", "result")
     print_next("reconstruct", "capture.mkv", "--rig", "rig.json", *chosen)
 
@@ -495,3 +447,10 @@ def _print_what_is_next(measured: Path) -> None:
         if (folder / "reconstruction.json").is_file():
             print_next("report", folder)
             return
+
+
+normals = command(evaluate_normal_files)
+mesh = command(evaluate_mesh)
+cylinder = command(evaluate_cylinder)
+tracks = command(evaluate_tracks)
+integration = command(evaluate_integration)

@@ -12,7 +12,7 @@ from vntoolkit.options.base import File, OptionalFile, named
 from vntoolkit.options.export import CleanOptions, ExportFormat, ExportFormatName, ExportOptions
 from vntoolkit.options.footage import ReadingLimits
 from vntoolkit.options.shared import FrameOptions, MovedFootageOptions
-from vntoolkit.pipeline.export import ExportJob, ExportSummary
+from vntoolkit.pipeline.export import ExportJob
 from vntoolkit.pipeline.export import export as run
 
 _SHAPES = (".ply", ".obj", ".glb", ".usd", ".usdc")  # that other programs open
@@ -42,7 +42,13 @@ class ExportArguments(FrameOptions, MovedFootageOptions, ExportOptions, CleanOpt
     """Replace an export with other options in the folder."""
 
 
-def _exported(asked: ExportArguments) -> ExportSummary:
+@verb(ExportArguments)
+def export(asked: ExportArguments) -> Path:
+    """Convert a reconstruction to the formats of other programs.
+
+    Only --to diligent reads the footage again and needs --footage and --background. The same command again
+    continues an interrupted run and writes what has changed since.
+    """
     cleaning = asked.part(CleanOptions)
     cleans = asked.clean or cleaning != CleanOptions()
     job = ExportJob(
@@ -54,23 +60,8 @@ def _exported(asked: ExportArguments) -> ExportSummary:
         background=asked.background,
     )
     with ProgressBars() as bars:
-        return run(job, overwrite=asked.overwrite, on_start=partial(bars.begin, "export"), on_frame=bars.step)
-
-
-@verb(ExportArguments)
-def export(asked: ExportArguments) -> Path:
-    """Convert a reconstruction to the formats of other programs.
-
-    Only --to diligent reads the footage again and needs --footage and --background. The same command again
-    continues an interrupted run and writes what has changed since.
-    """
-    return _exported(asked).out
-
-
-@command(export)
-def export_command(asked: ExportArguments) -> None:
-    """Print what was written, and what opens it."""
-    summary = _exported(asked)
+        begin = partial(bars.begin, "export")
+        summary = run(job, overwrite=asked.overwrite, on_start=begin, on_frame=bars.step)
     kept = f", {summary.kept} of them from before" if summary.kept else ""
     which = {True: " of the tracked mesh", False: " of each frame's own mesh", None: ""}[summary.is_tracked]
     say(f"{summary.out}: {summary.frames} frames{which}{kept}")
@@ -80,3 +71,7 @@ def export_command(asked: ExportArguments) -> None:
         print_next_program(shapes[0])
     else:
         print_next("report", str(asked.folder))
+    return summary.out
+
+
+export_command = command(export)

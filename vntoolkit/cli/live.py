@@ -7,7 +7,6 @@ import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import ClassVar
 
 import numpy as np
 
@@ -26,7 +25,7 @@ from vntoolkit.live import capture
 from vntoolkit.live.frames import FrameView, LiveProcessor, LiveResult
 from vntoolkit.live.page import LiveViewer
 from vntoolkit.options.base import File, Named, OptionalFile, named
-from vntoolkit.options.footage import MatteOptions, ReadingLimits
+from vntoolkit.options.footage import MatteOptions, PictureLimits
 from vntoolkit.options.normals import ShadowMethod, ShadowMethodName
 from vntoolkit.options.pages import CameraOptions, ViewerOptions
 from vntoolkit.options.shared import AllowOptions, CornerOptions
@@ -38,10 +37,8 @@ _LATE_FRAMES = 1.5  # intervals between frames; a result that took longer is lat
 
 
 @dataclass(frozen=True, kw_only=True)
-class LiveArguments(CornerOptions, AllowOptions, CameraOptions, ViewerOptions, ReadingLimits):
+class LiveArguments(CornerOptions, AllowOptions, CameraOptions, ViewerOptions, PictureLimits):
     """What `watch` takes."""
-
-    WITHOUT: ClassVar[tuple[str, ...]] = ("max_vertices",)
 
     rig: File
     """The rig.json of `vntoolkit calibrate`; it belongs to the picture after crop and rectification."""
@@ -107,31 +104,25 @@ def _background(asked: LiveArguments) -> EncodedFrame | None:
     return None if asked.background is None else next(open_capture(asked.background).encoded_frames())
 
 
-@verb(LiveArguments)
+@verb(LiveArguments, prints=True)
 def watch(asked: LiveArguments) -> list[Path]:
     """Watch normals and a turning, relit surface in a browser while filming.
 
     Frames that come too fast are dropped and counted. `r` in the terminal, or the button on the page, starts
     and stops a lossless recording of what the camera gives. In Python the recordings are returned.
     """
-    return _recorded(asked)
-
-
-@command(watch)
-def live(asked: LiveArguments) -> None:
-    """Print what reconstructs the last recording."""
-    files = _recorded(asked)
+    source, processor = _prepared(asked)
+    recorder = capture.LiveRecorder(Path(asked.record_to), source.frame_rate_hz)
+    _watch(source, processor, recorder, asked.seconds, asked.part(ViewerOptions), asked.realtime)
+    files = list(recorder.files)
     if files:
         plate = [] if asked.background is None else ["--background", str(asked.background)]
         plate += [] if asked.key is None else ["--key", f"{asked.key:g}"]
         print_next("reconstruct", files[-1], "--rig", str(asked.rig), *plate, "--out", "result")
+    return files
 
 
-def _recorded(asked: LiveArguments) -> list[Path]:
-    source, processor = _prepared(asked)
-    recorder = capture.LiveRecorder(Path(asked.record_to), source.frame_rate_hz)
-    _watch(source, processor, recorder, asked.seconds, asked.part(ViewerOptions), asked.realtime)
-    return list(recorder.files)
+live = command(watch)
 
 
 def _watch(

@@ -8,19 +8,13 @@ import logging
 import os
 import shlex
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextvars import ContextVar
 from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    ProgressColumn,
-    Task,
-    TextColumn,
-)
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, Task, TextColumn
 from rich.table import Table
 from rich.text import Text
 
@@ -33,10 +27,13 @@ _SUBJECT = ("measured", "mesh", "reference")  # keys of an evaluation that say o
 _LOGGER = logging.getLogger(__name__)
 JSON, PAGE, PICTURE, MESH = (".json",), (".html",), (".png", ".svg"), (".ply", ".obj")
 Advance = Callable[[int], None]
+_PRINTS = ContextVar("prints", default=True)
 
 
 def print_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]], names: int = 1) -> None:
     """Print a table whose first `names` columns are texts and whose others are numbers."""
+    if not _PRINTS.get():
+        return
     table = Table(title=escaped(title), title_justify="left", title_style="bold", box=None, pad_edge=False)
     for i, column in enumerate(columns):
         table.add_column(column, justify="left" if i < names else "right", no_wrap=True)
@@ -47,7 +44,18 @@ def print_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]
 
 def say(line: object, *, flush: bool = False) -> None:
     """Print one line; names in it may hold what a terminal would obey."""
-    print(escaped(str(line)), flush=flush)
+    if _PRINTS.get():
+        print(escaped(str(line)), flush=flush)
+
+
+@contextlib.contextmanager
+def silent() -> Iterator[None]:
+    """Let nothing be printed: a verb that is called from Python returns what a command prints."""
+    before = _PRINTS.set(False)
+    try:
+        yield
+    finally:
+        _PRINTS.reset(before)
 
 
 def plain_console() -> Console:

@@ -15,16 +15,10 @@ from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.rigs import read_rig
 from vntoolkit.options.base import File, Named, OptionalFile, Source, as_path, named
 from vntoolkit.options.depth import IntegrationOptions, MeshOptions
-from vntoolkit.options.footage import Gaps, GapsName, MatteOptions, ReadingLimits, SensorOptions
+from vntoolkit.options.footage import Gaps, GapsName, MatteOptions, PictureLimits, SensorOptions
 from vntoolkit.options.normals import InversionOptions
 from vntoolkit.options.reconstruction import ReconstructOptions
-from vntoolkit.options.shared import (
-    AllowOptions,
-    BackgroundOptions,
-    CornerOptions,
-    FrameOptions,
-    JobOptions,
-)
+from vntoolkit.options.shared import AllowOptions, BackgroundOptions, CornerOptions, FrameOptions, JobOptions
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import Transfer
 from vntoolkit.pipeline.opened_result import OpenedResult, open_result
@@ -37,11 +31,11 @@ from vntoolkit.pipeline.request import Request
 @dataclass(frozen=True, kw_only=True)
 class RunArguments(
     FrameOptions, BackgroundOptions, MatteOptions, SensorOptions, AllowOptions, ReconstructOptions,
-    InversionOptions, IntegrationOptions, MeshOptions, JobOptions, ReadingLimits,
+    InversionOptions, IntegrationOptions, MeshOptions, JobOptions, PictureLimits,
 ):  # fmt: skip
     """What a reconstruction takes beside its footage, its rig and its folder."""
 
-    WITHOUT: ClassVar[tuple[str, ...]] = ("max_vertices", "relative_albedo", "distance_m")
+    WITHOUT: ClassVar[tuple[str, ...]] = ("relative_albedo", "distance_m")
 
     distance: float | None = None
     """Distance in metres from a perspective camera to the subject, along the optical axis. It fixes the scale
@@ -101,7 +95,12 @@ class ReconstructArguments(CornerOptions, RunArguments):
     where the file states another. Default: the rig's."""
 
 
-def _reconstructed(asked: ReconstructArguments) -> ReconstructionSummary:
+@verb(ReconstructArguments)
+def reconstruct(asked: ReconstructArguments) -> OpenedResult:
+    """Compute normals, depth and meshes from footage and a rig, frame by frame.
+
+    The same command again continues an interrupted run.
+    """
     source, calibrated = str(asked.source), read_rig(Path(asked.rig))
     if asked.corners is not None or asked.size_mm is not None:
         options = CaptureOptions(transfer=calibrated.transfer, gaps=Gaps(asked.gaps))
@@ -118,7 +117,7 @@ def _reconstructed(asked: ReconstructArguments) -> ReconstructionSummary:
     )
     with ProgressBars() as bars:
         bars.begin("prepare", None)
-        return run(
+        summary = run(
             job,
             frames=asked.range,
             jobs=asked.jobs,
@@ -127,24 +126,14 @@ def _reconstructed(asked: ReconstructArguments) -> ReconstructionSummary:
             on_start=partial(bars.begin, "reconstruct"),
             on_frame=bars.step,
         )
-
-
-@verb(ReconstructArguments)
-def reconstruct(asked: ReconstructArguments) -> OpenedResult:
-    """Compute normals, depth and meshes from footage and a rig, frame by frame.
-
-    The same command again continues an interrupted run.
-    """
-    summary = _reconstructed(asked)
+    _report(summary)
     if summary.loss:
-        raise BadCapture(f"{asked.source}: {summary.loss}")
+        raise BadCapture(f"{source}: {summary.loss}")
+    print_next("view", summary.folder)
     return open_result(Path(asked.out))
 
 
-@command(reconstruct)
-def reconstruct_command(asked: ReconstructArguments) -> None:
-    """Print what was done, and what was left out."""
-    _report(str(asked.source), _reconstructed(asked))
+reconstruct_command = command(reconstruct)
 
 
 def _with_transfer(rig: Rig, transfer: str | None) -> Rig:
@@ -154,7 +143,8 @@ def _with_transfer(rig: Rig, transfer: str | None) -> Rig:
     return replace(rig, transfer=replace(rig.transfer, curve=curve.curve, gamma=curve.gamma))
 
 
-def _report(source: str, summary: ReconstructionSummary) -> None:
+def _report(summary: ReconstructionSummary) -> None:
+    """Print what was done, and what was left out."""
     for record in summary.skipped:
         if not record.shows_nothing:  # these are told together
             say(f"skipped frame {record.number}: {record.failure}")
@@ -169,6 +159,3 @@ def _report(source: str, summary: ReconstructionSummary) -> None:
             f"expected error of the normals: {summary.error_deg:.1f} degrees, the median over the pixels of "
             "the worst frames"
         )
-    if summary.loss:
-        raise BadCapture(f"{source}: {summary.loss}")
-    print_next("view", summary.folder)

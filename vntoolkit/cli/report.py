@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 from vntoolkit.cli.output import PAGE, print_next, require_output, say
@@ -37,7 +38,7 @@ def write_report(asked: ReportArguments) -> Path:
     return _written(asked)
 
 
-@command(write_report)
+@partial(command, write_report)
 def report(asked: ReportArguments) -> None:
     """Print the page's name and what comes next."""
     folder = Path(asked.folder)

@@ -33,7 +33,14 @@ class SessionArguments(RunArguments):
     folder of mattes for each, named as the capture is: take1.png, take1.mkv or take1."""
 
 
-def _outcomes(asked: SessionArguments) -> list[CaptureOutcome]:
+@verb(SessionArguments)
+def session(asked: SessionArguments) -> list[CaptureOutcome]:
+    """Reconstruct all captures of one rig, and track them on request, each into its own folder.
+
+    A capture that fails is reported at the end; the others are still done. The same command again continues
+    an interrupted run. With a scheduler, all workers reconstruct the frames of one capture, and one of them
+    tracks it while the others reconstruct the next.
+    """
     if not asked.sources:
         raise BadInput("session: expected at least one video or folder of images, got none")
     if asked.track and asked.to is Product.NORMALS:
@@ -59,23 +66,6 @@ def _outcomes(asked: SessionArguments) -> list[CaptureOutcome]:
         )
 
 
-@verb(SessionArguments)
-def session(asked: SessionArguments) -> list[CaptureOutcome]:
-    """Reconstruct all captures of one rig, and track them on request, each into its own folder.
-
-    A capture that fails is reported at the end; the others are still done. The same command again continues
-    an interrupted run. With a scheduler, all workers reconstruct the frames of one capture, and one of them
-    tracks it while the others reconstruct the next.
-    """
-    return _outcomes(asked)
-
-
-@command(session)
-def session_command(asked: SessionArguments) -> None:
-    """Print a line for each capture; raise `VntError` where one failed."""
-    _report(Path(asked.out), _outcomes(asked))
-
-
 def _mask_of(name: str, mask: Path | None) -> Path | None:
     """Return the mask of one capture: the image for all, or what the folder holds under its name."""
     if mask is None or not mask.is_dir():
@@ -87,14 +77,18 @@ def _mask_of(name: str, mask: Path | None) -> Path | None:
     return found[0]
 
 
-def _report(out: Path, outcomes: list[CaptureOutcome]) -> None:
+def _reported(asked: SessionArguments) -> None:
     """Print a line for each capture; raise `VntError` where one failed."""
+    out, outcomes = Path(asked.out), session.run(asked)  # type: ignore[attr-defined]
     for outcome in outcomes:
         say(f"{out / outcome.name}: {_line(outcome)}")
     failed = [outcome.name for outcome in outcomes if outcome.failure or _loss(outcome)]
     if failed:
         raise VntError(f"{len(failed)} of {len(outcomes)} captures failed: {', '.join(failed)}")
     print_next("view", out / outcomes[0].name)
+
+
+session_command = command(session, _reported)
 
 
 def _loss(outcome: CaptureOutcome) -> str:

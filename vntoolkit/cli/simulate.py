@@ -13,7 +13,7 @@ from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.options.base import File, OptionalFile, named
 from vntoolkit.options.shared import FrameOptions, JobOptions
 from vntoolkit.options.simulation import Nuisances, RenderOptions, SceneOptions
-from vntoolkit.pipeline.simulate import SimulationFolder, SimulationJob, SimulationSummary
+from vntoolkit.pipeline.simulate import SimulationFolder, SimulationJob
 from vntoolkit.pipeline.simulate import simulate as run
 
 _MOST_MEGAPIXELS = 200  # as readers take by default
@@ -39,7 +39,12 @@ class SimulateArguments(FrameOptions, SceneOptions, Nuisances, RenderOptions, Jo
     """Replace the capture that the folder holds."""
 
 
-def _simulated(asked: SimulateArguments) -> tuple[SimulationJob, SimulationSummary]:
+@verb(SimulateArguments)
+def simulate(asked: SimulateArguments) -> Path:
+    """Render a synthetic scene under three coloured lights, with ground truth beside the video.
+
+    The same command again continues an interrupted run.
+    """
     width, height = _size(asked.size)
     job = SimulationJob(
         scene=asked.scene,
@@ -55,38 +60,24 @@ def _simulated(asked: SimulateArguments) -> tuple[SimulationJob, SimulationSumma
             job, jobs=asked.jobs, overwrite=asked.overwrite, on_start=partial(bars.begin, "simulate"),
             on_frame=bars.step,
         )  # fmt: skip
-    return job, summary
-
-
-@verb(SimulateArguments)
-def simulate(asked: SimulateArguments) -> Path:
-    """Render a synthetic scene under three coloured lights, with ground truth beside the video.
-
-    The same command again continues an interrupted run.
-    """
-    _simulated(asked)
-    return Path(asked.out)
-
-
-@command(simulate)
-def simulate_command(asked: SimulateArguments) -> None:
-    """Print what was rendered, and what comes next."""
-    job, summary = _simulated(asked)
     out, scene = Path(asked.out), asked.scene
     say(f"{out}: {summary.frames} frames of {scene} in capture.mkv, {summary.rendered} rendered now")
     if scene in ("board", "sphere"):
         print_next("calibrate", scene, job.folder.video, "--out", "rig.json")
+    elif scene == "gel" and summary.frames == 1:
+        presses = out.with_name("presses")
+        print_next("simulate", scene, "--out", presses, "--frames", "1:25", "--size", asked.size)
     elif scene == "gel":
         radius, pixel = (f"{job.built.facts[name]:g}" for name in ("ball_radius_mm", "pixel_mm"))
         ball = ("--ball-radius-mm", radius, "--pixel-mm", pixel)
         rest = out.with_name("rest") / "capture.mkv"
-        if summary.frames == 1:
-            presses = out.with_name("presses")
-            print_next("simulate", scene, "--out", presses, "--frames", "1:25", "--size", asked.size)
-            return
         print_next("calibrate", "presses", job.folder.video, "--background", rest, *ball, "--out", "gel.json")
     else:
         print_next("reconstruct", job.folder.video, "--rig", "rig.json", "--out", "result")
+    return out
+
+
+simulate_command = command(simulate)
 
 
 def _size(text: str) -> tuple[int, int]:

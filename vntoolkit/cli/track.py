@@ -14,8 +14,8 @@ from vntoolkit.options.base import File, OptionalFile, named
 from vntoolkit.options.footage import ReadingLimits
 from vntoolkit.options.shared import MovedFootageOptions
 from vntoolkit.options.tracking import LOST_PX, CheckerboardOptions, TrackingOptions
-from vntoolkit.pipeline.checkerboard import CheckerboardFiles, write_checkerboard
-from vntoolkit.pipeline.texture import TextureSummary, write_texture
+from vntoolkit.pipeline.checkerboard import write_checkerboard
+from vntoolkit.pipeline.texture import write_texture
 from vntoolkit.pipeline.track import TrackJob, TrackSummary
 from vntoolkit.pipeline.track import track as run
 
@@ -41,8 +41,14 @@ class TrackArguments(MovedFootageOptions, TrackingOptions, CheckerboardOptions, 
     """Replace the tracks that the folder holds."""
 
 
-def _job(asked: TrackArguments) -> TrackJob:
-    return TrackJob(
+@verb(TrackArguments)
+def track(asked: TrackArguments) -> MeshSequence:
+    """Register the frames of a reconstruction to one mesh of fixed topology, and draw a checkerboard on it.
+
+    Its texture is gathered from the footage, which is read again for that. The same command again continues
+    an interrupted run.
+    """
+    job = TrackJob(
         folder=Path(asked.folder),
         options=asked.part(TrackingOptions),
         template=asked.template,
@@ -52,38 +58,24 @@ def _job(asked: TrackArguments) -> TrackJob:
         footage=asked.footage,
         background=asked.background,
     )
-
-
-def _tracked(asked: TrackArguments, job: TrackJob) -> tuple[TrackSummary, CheckerboardFiles]:
     with ProgressBars() as bars:
-        summary = run(
-            job, overwrite=asked.overwrite, on_start=partial(bars.begin, "track"), on_frame=bars.step
-        )
-    return summary, write_checkerboard(job.folder, job.target, asked.part(CheckerboardOptions))
-
-
-def _textured(asked: TrackArguments, job: TrackJob) -> TextureSummary:
-    return write_texture(job.folder, job.target, footage=asked.footage, background=asked.background)
-
-
-@verb(TrackArguments)
-def track(asked: TrackArguments) -> MeshSequence:
-    """Register the frames of a reconstruction to one mesh of fixed topology, and draw a checkerboard on it.
-
-    Its texture is gathered from the footage, which is read again for that. The same command again continues
-    an interrupted run.
-    """
-    job = _job(asked)
-    _tracked(asked, job)
-    _textured(asked, job)
+        begin = partial(bars.begin, "track")
+        summary = run(job, overwrite=asked.overwrite, on_start=begin, on_frame=bars.step)
+    files = write_checkerboard(job.folder, job.target, asked.part(CheckerboardOptions))
+    _report(summary)
+    say(f"{files.video}, {files.sheet.name}")
+    made = write_texture(job.folder, job.target, footage=asked.footage, background=asked.background)
+    shown = made.texture.albedo or made.texture.normal
+    say(f"{shown}: {made.covered:.1%} of the surface from {made.frames} frames, the rest filled")
+    print_next("dress", job.target, "--motion", "data/walk.bvh", "--out", "cloth.usdc")
     return read_mesh_sequence(job.target)
 
 
-@command(track)
-def track_command(asked: TrackArguments) -> None:
-    """Print how much was tracked, and what was drawn."""
-    job = _job(asked)
-    summary, files = _tracked(asked, job)
+track_command = command(track)
+
+
+def _report(summary: TrackSummary) -> None:
+    """Print how much was tracked."""
     held = f", {len(summary.missing)} missing and held" if summary.missing else ""
     resumed = f", {summary.resumed} of them from before" if summary.resumed else ""
     say(
@@ -93,8 +85,3 @@ def track_command(asked: TrackArguments) -> None:
     if summary.visible:
         middle, least = median(summary.visible), min(summary.visible)
         say(f"reported visible: {middle:.1%} of the vertices, {least:.1%} in the worst frame")
-    say(f"{files.video}, {files.sheet.name}")
-    made = _textured(asked, job)
-    shown = made.texture.albedo or made.texture.normal
-    say(f"{shown}: {made.covered:.1%} of the surface from {made.frames} frames, the rest filled")
-    print_next("dress", job.target, "--motion", "data/walk.bvh", "--out", "cloth.usdc")

@@ -19,6 +19,7 @@ from typing import Annotated, Any, Literal, ParamSpec, TypeVar, Union, get_args,
 
 from cyclopts import CoercionError, Group, Parameter, Token, convert
 
+from vntoolkit.cli.output import silent
 from vntoolkit.cli.removed import require_no_removed
 from vntoolkit.errors import BadInput
 from vntoolkit.options.base import hints_of, members_of
@@ -64,56 +65,61 @@ _PANEL_OF = {name: panel for panel, names in _PANELS.items() for name in names}
 _GROUPS = {panel: Group(panel, sort_key=place) for place, panel in enumerate(_PANELS)}
 
 
-def verb(arguments: Callable[P, Asked]) -> Callable[[Callable[[Asked], R]], Callable[P, R]]:
-    """Make a function of an argument class one that takes the fields of the class."""
+def verb(
+    arguments: Callable[P, Asked], *, prints: bool = False
+) -> Callable[[Callable[[Asked], R]], Callable[P, R]]:
+    """Make a function of an argument class one that takes the fields of the class.
+
+    prints: whether a call from Python prints what the command does.
+    """
 
     def give(run: Callable[[Asked], R]) -> Callable[P, R]:
         @functools.wraps(run)
         def call(*given: P.args, **named: P.kwargs) -> R:
             _require_known(run.__name__, arguments, named)
             asked = arguments(*given, **named)
-            with _prepared(asked):
+            with _prepared(asked), contextlib.nullcontext() if prints else silent():
                 return run(asked)
 
         shown: Any = call
-        shown.arguments = arguments
-        shown.__signature__ = _signature(arguments, run)
+        shown.arguments, shown.run = arguments, run
+        returned = inspect.signature(run).return_annotation
+        shown.__signature__ = inspect.Signature(_parameters(arguments), return_annotation=returned)
         return call
 
     return give
 
 
-def command(function: Callable[..., Any]) -> Callable[[Callable[[Asked], int | None]], Callable[..., Any]]:
-    """Make the command of a verb from what prints its results; help and flags are those of the verb."""
-    arguments = function.arguments  # type: ignore[attr-defined]
+def command(verb: Any, show: Callable[[Any], int | None] | None = None) -> Any:
+    """Return the command of a verb: the verb itself, which then prints what came of it.
 
-    def give(show: Callable[[Asked], int | None]) -> Callable[..., Any]:
-        def run(*given: Any, **named: Any) -> int | None:
-            asked = asked_from(arguments, given, named)
-            with _prepared(asked):
+    show: what runs and prints instead, where a command does more than the call; it returns the exit status.
+    """
+    arguments = verb.arguments
+
+    def run(*given: Any, **named: Any) -> int | None:
+        asked = asked_from(arguments, given, named)
+        with _prepared(asked):
+            if show is not None:
                 return show(asked)
+            verb.run(asked)
+            return None
 
-        shown: Any = run
-        shown.__doc__, shown.__name__ = function.__doc__, function.__name__
-        parameters = _flags(arguments)
-        shown.__signature__ = inspect.Signature(parameters)
-        shown.__annotations__ = {each.name: each.annotation for each in parameters}
-        return run
-
-    return give
+    shown: Any = run
+    shown.__doc__, shown.__name__ = verb.__doc__, verb.__name__
+    parameters = _flags(arguments)
+    shown.__signature__ = inspect.Signature(parameters)
+    shown.__annotations__ = {each.name: each.annotation for each in parameters}
+    return run
 
 
 def asked_from(arguments: Any, given: tuple[Any, ...], named: dict[str, Any]) -> Any:
     """Return the arguments of a typed command: words without a flag in order, the last of them many."""
     ordered = [field.name for field in dataclasses.fields(arguments) if not field.kw_only]
-    if ordered and _is_many(hints_of(arguments)[ordered[-1]]):
+    if ordered and get_origin(hints_of(arguments)[ordered[-1]]) is tuple:
         *ordered, many = ordered
         named = {**named, many: given[len(ordered) :]}
     return arguments(**dict(zip(ordered, given, strict=False)), **named)
-
-
-def _is_many(hint: Any) -> bool:
-    return get_origin(hint) is tuple
 
 
 @contextlib.contextmanager
@@ -139,18 +145,18 @@ def _require_known(name: str, arguments: Any, named: dict[str, Any]) -> None:
             raise BadInput(f"{name}: unknown option {given}{hint}")
 
 
-def _signature(arguments: Any, run: Callable[..., Any]) -> inspect.Signature:
-    hints = hints_of(arguments)
-    parameters = [
+def _parameters(arguments: Any) -> list[inspect.Parameter]:
+    """Return the parameters of the call from Python."""
+    empty, hints = inspect.Parameter.empty, hints_of(arguments)
+    return [
         inspect.Parameter(
             field.name,
-            _kind(field),
-            default=_default(field),
+            inspect.Parameter.KEYWORD_ONLY if field.kw_only else inspect.Parameter.POSITIONAL_OR_KEYWORD,
+            default=empty if field.default is dataclasses.MISSING else field.default,
             annotation=hints[field.name],
         )
         for field in _fields(arguments)
     ]
-    return inspect.Signature(parameters, return_annotation=inspect.signature(run).return_annotation)
 
 
 def _fields(arguments: Any) -> list[Any]:
@@ -170,35 +176,26 @@ def _fields(arguments: Any) -> list[Any]:
     return sorted(taken, key=place)
 
 
-def _kind(field: Any) -> Any:
-    return inspect.Parameter.KEYWORD_ONLY if field.kw_only else inspect.Parameter.POSITIONAL_OR_KEYWORD
-
-
-def _default(field: Any) -> Any:
-    return inspect.Parameter.empty if field.default is dataclasses.MISSING else field.default
-
-
 def _flags(arguments: Any) -> list[inspect.Parameter]:
     """Return the parameters from which cyclopts makes the flags of a verb."""
-    hints, docs = hints_of(arguments), meanings_of_fields(arguments)
-    flags = []
-    for field in sorted(_fields(arguments), key=lambda field: field.kw_only):
-        hint, kind, default = hints[field.name], _kind(field), _default(field)
-        if not field.kw_only and _is_many(hint):
-            hint, kind, default = get_args(hint)[0], inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.empty
-        hint = _type_of_flag(hint)
+    docs, flags = meanings_of_fields(arguments), []
+    for given in _parameters(arguments):
+        hint, is_flag = given.annotation, given.kind is inspect.Parameter.KEYWORD_ONLY
+        many = get_origin(hint) is tuple and not is_flag
+        hint = _type_of_flag(get_args(hint)[0] if many else hint)
         is_tuple = any(get_origin(member) is tuple for member in members_of(hint))
         parameter = Parameter(
-            help=docs[field.name],
-            group=_GROUPS[_PANEL_OF.get(field.name, "Method")],
-            negative=None if default is True else (),
+            help=docs[given.name],
+            group=_GROUPS[_PANEL_OF.get(given.name, "Method")],
+            negative=None if given.default is True else (),
             negative_iterable=(),  # --exclude A B, and no --empty-exclude
             consume_multiple=True if is_tuple else None,
             converter=_whole_numbers if _counts(hint) else None,
         )
-        flags.append(
-            inspect.Parameter(field.name, kind, default=default, annotation=Annotated[hint, parameter])
-        )
+        flag = given.replace(annotation=Annotated[hint, parameter])
+        if many:
+            flag = flag.replace(kind=inspect.Parameter.VAR_POSITIONAL, default=inspect.Parameter.empty)
+        flags.append(flag)
     return sorted(flags, key=lambda flag: flag.kind)
 
 
@@ -232,8 +229,7 @@ def meanings_of_fields(arguments: Any) -> dict[str, str]:
     for kind in reversed(arguments.__mro__):
         if not dataclasses.is_dataclass(kind):
             continue
-        source: Any = kind
-        body = ast.parse(textwrap.dedent(inspect.getsource(source))).body[0]
+        body = ast.parse(textwrap.dedent(inspect.getsource(kind))).body[0]
         assert isinstance(body, ast.ClassDef)
         for field, below in pairwise(body.body):
             if isinstance(field, ast.AnnAssign) and isinstance(below, ast.Expr):
@@ -256,10 +252,9 @@ def _require_new_outputs(asked: Any) -> None:
         for name, path in given.items()
         if name in _OUTPUTS and name in flags and isinstance(path, Path)
     }
-    kind: Any = type(asked)
     read = [
         (name, str(path))
-        for name, hint in hints_of(kind).items()
+        for name, hint in hints_of(type(asked)).items()
         if name not in written and (name == "footage" or "PathLike" in str(hint))
         for path in (given[name] if isinstance(given[name], tuple) else (given[name],))
         if path is not None and str(path)

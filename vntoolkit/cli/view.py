@@ -2,6 +2,7 @@
 
 import contextlib
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 from vntoolkit.cli.output import PAGE, print_next, progress_bar, require_output, say
@@ -53,7 +54,7 @@ def view(asked: ViewArguments) -> ResultViewer | Path:
     return asked.html
 
 
-@command(view)
+@partial(command, view)
 def view_command(asked: ViewArguments) -> None:
     """Serve until Ctrl-C, or print what was written."""
     result = _opened(asked)

@@ -33,6 +33,7 @@ from vntoolkit.diagnosis.evidence import (
 )
 from vntoolkit.diagnosis.finding import CLEAR_Z, Finding, Level, certainty_from_z
 from vntoolkit.geometry.maps import NormalMap
+from vntoolkit.options.export import NormalConvention
 
 logger = logging.getLogger(__name__)
 _RIM_PX = (1.5, 4.0)  # of averaged pixels inside the outline
@@ -206,3 +207,39 @@ def finding_from_axes(normal_map: NormalMap) -> str | None:
         f"the green axis looks flipped: as read the slopes contradict each other (curl share {as_read:.2f}), "
         f"flipped they fit ({flipped:.2f}); read it with the other convention, opengl or directx"
     )
+
+
+def likeliest_convention(stored: FloatArray, mask: Mask) -> tuple[NormalConvention, str]:
+    """Return the axes in which stored vectors (h, w, 3) make a surface, and how that is told.
+
+    z tells whether they point at the viewer. Slopes without curl tell the sign of y, and where the curl does
+    not, the outline, where a closed surface leans outwards.
+    """
+    if np.mean(stored[mask][:, 2] > 0) < 0.5:
+        return NormalConvention.OPENCV, "z points away from the viewer"
+    readings = (NormalConvention.OPENGL, NormalConvention.DIRECTX)
+    first, second = (
+        curl_share(np.asarray(stored * np.array(each.signs, np.float32), np.float32), mask)
+        for each in readings
+    )
+    if min(first, second) < _MARGIN * max(first, second):
+        which = readings[int(second < first)]
+        return (
+            which,
+            f"slopes have the least curl so: {min(first, second):.2f} against {max(first, second):.2f}",
+        )
+    upwards = _outward_y(stored, mask)
+    if abs(upwards) > -_TURNED_INWARDS:
+        return readings[int(upwards < 0)], "the outline leans outwards so"
+    return NormalConvention.OPENGL, "neither curl nor outline tells, so the usual one was taken"
+
+
+def _outward_y(stored: FloatArray, mask: Mask) -> float:
+    """Return the mean of y along the outline's upward direction, weighted by how far that is up or down."""
+    inside = cv2.blur(
+        mask.astype(np.float32), (_SMOOTHING_PX, _SMOOTHING_PX), borderType=cv2.BORDER_REPLICATE
+    )
+    upwards = np.gradient(inside, axis=0)  # more of the subject below: the outline faces up
+    rim = mask & (np.abs(upwards) > 0)
+    total = float(np.abs(upwards[rim]).sum())
+    return float((stored[..., 1] * upwards)[rim].sum()) / total if total > 0 else 0.0

@@ -7,5 +7,6 @@ count and how much:
 
 - `poisson`: all of them, equally, on a full rectangle (cosine transform, and Fourier for comparison); or
   those inside a mask, weighted by confidence (conjugate gradients);
-- `discontinuity`: those that do not cross a depth discontinuity (iteratively reweighted).
+- `discontinuity`: those whose residual the errors of the normals explain (iteratively reweighted, by the
+  same conjugate gradients); all of them where none is larger.
 """

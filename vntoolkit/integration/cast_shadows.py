@@ -19,10 +19,7 @@ import numpy as np
 from numba import prange
 
 from vntoolkit.arrays import (
-    Array,
     BoolArray,
-    Float32Array,
-    Float64Array,
     FloatArray,
     Int64Array,
     Points2,
@@ -30,7 +27,7 @@ from vntoolkit.arrays import (
     VisibilityLabels,
 )
 from vntoolkit.geometry.maps import HALF_WEIGHT_DEG, NormalMap
-from vntoolkit.integration.edges import EdgeField, PixelGraph
+from vntoolkit.integration.edges import EdgeField
 from vntoolkit.integration.slopes import RayField
 from vntoolkit.native import njit
 
@@ -61,41 +58,13 @@ class DepthSteps:
 
     def added_to(self, edges: EdgeField, box: tuple[slice, slice], pixels_per_unit: float) -> EdgeField:
         """Return the edges of a window with the steps in it, each in doubt as its slope and its step are."""
-        rows, columns = self.rows - box[0].start, self.columns - box[1].start
-        height, width = edges.right.shape
-        inside = (rows >= 0) & (columns >= 0) & (rows < height) & (columns < width)
-
-        def added(difference: Float32Array, weight: Float32Array, which: BoolArray) -> list[Float32Array]:
-            at, difference, weight = (rows[which], columns[which]), difference.copy(), weight.copy()
-            difference[at] += (self.steps[which] / pixels_per_unit).astype(np.float32)
-            weight[at] = self._less_sure(weight[at], which)
-            return [difference, weight]
-
-        right, right_weight = added(edges.right, edges.right_weight, inside & ~self.down)
-        down, down_weight = added(edges.down, edges.down_weight, inside & self.down)
-        return EdgeField(right=right, down=down, right_weight=right_weight, down_weight=down_weight)
-
-    def added_to_graph(
-        self, graph: PixelGraph, width: int, difference: Float64Array, confidence: Float64Array
-    ) -> tuple[Float64Array, Float64Array]:
-        """Return differences in pixels and confidences (m,) of a graph's edges with their steps.
-
-        width: of the image.
-        """
-        pixels = graph.pixels[graph.tail]
-        right, down = pixels[: graph.across], pixels[graph.across :]
-        difference, confidence = difference.copy(), confidence.copy()
-        for first, edges, which in ((0, right, ~self.down), (graph.across, down, self.down)):
-            wanted = self.rows[which] * width + self.columns[which]
-            at = np.minimum(np.searchsorted(edges, wanted), len(edges) - 1)
-            found = edges[at] == wanted
-            own, at = np.flatnonzero(which)[found], first + at[found]
-            difference[at] += self.steps[own]
-            confidence[at] = self._less_sure(confidence[at], own)
-        return difference, confidence
-
-    def _less_sure(self, weight: Array, which: Array) -> Array:
-        return np.asarray(weight / (1.0 + weight * self.variances[which] / _UNIT_VARIANCE), weight.dtype)
+        at = self.down.astype(np.int64), self.rows - box[0].start, self.columns - box[1].start
+        inside = (np.min(at, axis=0) >= 0) & (at[1] < edges.weight.shape[1]) & (at[2] < edges.weight.shape[2])
+        at = tuple(index[inside] for index in at)
+        difference, weight = edges.difference.copy(), edges.weight.copy()
+        difference[at] += (self.steps[inside] / pixels_per_unit).astype(np.float32)
+        weight[at] /= 1.0 + weight[at] * self.variances[inside] / _UNIT_VARIANCE
+        return EdgeField(difference=difference, weight=weight)
 
 
 def steps_from_shadows(

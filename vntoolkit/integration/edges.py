@@ -1,10 +1,13 @@
-"""Wanted depth differences along the edges between neighbouring pixels, and their graph.
+"""Wanted depth differences along the edges between neighbouring pixels.
 
 The difference of depth between two pixels is the integral of the slope between them. Integrating the cubic
 through the four nearest slopes on the same line (fourth-order Adams quadrature: central inside,
 one-sided at a border) makes the error fall with the fourth power of the pixel; the common trapezoid only
 reaches the second. The differences are then what a depth map has exactly, so the discrete Poisson
 equation built on them has no consistency error of its own.
+
+Where depth may jump, the four slopes may belong to two surfaces. The chord takes only the normals at the two
+ends; it is exact on a sphere, up to its outline.
 """
 
 from dataclasses import dataclass
@@ -12,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
-from vntoolkit.arrays import Array, Float32Array, Float64Array, FloatArray, Int32Array, Int64Array, Mask
+from vntoolkit.arrays import Array, Float32Array, Float64Array, FloatArray, Int32Array, Mask, Normals
 from vntoolkit.native import njit
 
 _C = np.float32(1.0 / 24.0)
@@ -22,16 +25,14 @@ _STEEPEST_HALF = 0.9  # half of the difference of log depth, by the chord: 1 wou
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class EdgeField:
-    """Wanted depth differences and their weights; all (h, w) float32.
+    """Wanted depth differences and their weights, (2, h, w) float32: of the edges to the right, and down.
 
-    right[v, u] is the difference z(u+1, v) - z(u, v), down[v, u] is z(u, v+1) - z(u, v); the weights are 0
+    difference[0, v, u] is z(u+1, v) - z(u, v), difference[1, v, u] is z(u, v+1) - z(u, v). The weight is 0
     where an end of the edge is outside the domain (so in the last column and row).
     """
 
-    right: Float32Array
-    down: Float32Array
-    right_weight: Float32Array
-    down_weight: Float32Array
+    difference: Float32Array
+    weight: Float32Array
 
 
 def edges_from_slopes(
@@ -44,11 +45,10 @@ def edges_from_slopes(
     weights = domain.astype(np.float32)
     if weight is not None:
         weights *= weight
-    right, right_weight = (np.zeros_like(p) for _ in range(2))
-    down, down_weight = (np.zeros_like(p) for _ in range(2))
-    _edges_along_rows(p, weights, right, right_weight)
-    _edges_along_columns(q, weights, down, down_weight)
-    return EdgeField(right=right, down=down, right_weight=right_weight, down_weight=down_weight)
+    difference, worth = np.zeros((2, 2, *domain.shape), np.float32)
+    _edges_along_rows(p, weights, difference[0], worth[0])
+    _edges_along_columns(q, weights, difference[1], worth[1])
+    return EdgeField(difference=difference, weight=worth)
 
 
 @njit(cache=True, inline="always")
@@ -111,46 +111,39 @@ def _edges_along_columns(q, weights, difference, weight):  # type: ignore[no-unt
                 difference[v, u] = _difference(first, q[v, u], q[v + 1, u], last, before, after)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ChordField:
-    """One row per edge of a graph, float64.
-
-    difference: (m,) wanted difference of depth (or log depth times focal length), in pixels. variance: (m,)
-    its variance, relative to that of an edge between two normals that face the camera.
-    """
-
-    difference: Float64Array
-    variance: Float64Array
+def weight_of_edges(domain: Mask, weight: Float32Array | None = None) -> Float32Array:
+    """Return (2, h, w), the confidence of each edge's worse end; 0 where an end is outside the domain."""
+    ends = domain.astype(np.float32) if weight is None else np.where(domain, weight, np.float32(0))
+    out = np.zeros((2, *domain.shape), np.float32)
+    np.minimum(ends[:, 1:], ends[:, :-1], out=out[0, :, :-1])
+    np.minimum(ends[1:], ends[:-1], out=out[1, :-1])
+    return out
 
 
 # Differences by chords: from the normals at the two ends of an edge.
 
 
 def chords_from_normals(
-    normals: FloatArray,
+    normals: Normals,
     points: FloatArray,
-    graph: "PixelGraph",
+    domain: Mask,
     *,
     perspective: bool,
     pixels_per_unit: float,
     steepest_slope_deg: float,
-) -> ChordField:
-    """Wanted differences along all edges from normals (n, 3) and image plane points (n, 2) per node.
+) -> tuple[Float32Array, Float32Array]:
+    """Return wanted differences in pixels, and their variances, (2, h, w), 0 where an end is outside.
 
-    A turn of a normal by an angle ε moves its slope by ε / cos² of its inclination: grazing ends make an
-    edge unsure. So does a bend, as far as the two ends disagree on the slope (`_BEND`).
+    normals: (h, w, 3). points: (h, w, 2), in the image plane at depth 1. A difference of log depth is times
+    the focal length. A variance is relative to that of an edge between two normals that face the camera. A
+    turn of a normal by an angle ε moves its slope by ε / cos² of its inclination: grazing ends make an edge
+    unsure. So does a bend, as far as the two ends disagree on the slope (`_BEND`).
     """
+    difference, variance = np.zeros((2, 2, *domain.shape), np.float32)
     least_facing = float(np.cos(np.deg2rad(steepest_slope_deg)))
-    difference, variance = _chords(
-        np.ascontiguousarray(normals, dtype=np.float64),
-        np.ascontiguousarray(points, dtype=np.float64),
-        graph.tail,
-        graph.head,
-        1.0 if perspective else 0.0,
-        pixels_per_unit,
-        least_facing,
-    )
-    return ChordField(difference=difference, variance=variance)
+    scale = (1.0 if perspective else 0.0, pixels_per_unit, least_facing)
+    _chords(np.asarray(normals, np.float64), points, domain, scale, difference, variance)
+    return difference, variance
 
 
 @njit(cache=True)
@@ -167,97 +160,26 @@ def _along(nx, ny, nz, x1, y1, x2, y2, perspective, scale, least_facing):  # typ
 
 
 @njit(cache=True)
-def _chords(n, xy, tail, head, perspective, scale, least_facing):  # type: ignore[no-untyped-def]
-    count = len(tail)
-    difference, variance = np.empty(count), np.empty(count)
-    for e in range(count):
-        i, j = tail[e], head[e]
-        x1, y1, x2, y2 = xy[i, 0], xy[i, 1], xy[j, 0], xy[j, 1]
-        sx, sy, sz = n[i, 0] + n[j, 0], n[i, 1] + n[j, 1], n[i, 2] + n[j, 2]
-        length = max(np.sqrt(sx * sx + sy * sy + sz * sz), 1e-6)
-        difference[e], _ = _along(
-            sx / length, sy / length, sz / length, x1, y1, x2, y2, perspective, scale, least_facing
-        )
-        one, facing1 = _along(n[i, 0], n[i, 1], n[i, 2], x1, y1, x2, y2, perspective, scale, least_facing)
-        two, facing2 = _along(n[j, 0], n[j, 1], n[j, 2], x1, y1, x2, y2, perspective, scale, least_facing)
-        bend = _BEND * (one - two)
-        variance[e] = 0.5 * (facing1**-4.0 + facing2**-4.0) + bend * bend
-    return difference, variance
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class PixelGraph:
-    """The edges of a domain and its adjacency.
-
-    pixels: (n,) flat index of each node in the image, scan order. tail, head: (m,) nodes of each edge; first
-    the `across` edges that go right, then those that go down. row_start (n+1,), neighbour (2m,), edge (2m,):
-    for node i, slots row_start[i] … row_start[i+1] give its neighbours and the edges that lead to them.
-    """
-
-    pixels: Int64Array
-    tail: Int32Array
-    head: Int32Array
-    across: int
-    row_start: Int32Array
-    neighbour: Int32Array
-    edge: Int32Array
-
-
-# The domain as a graph: one node per pixel, one edge per pair of pixels that share a side.
-
-
-def graph_from_domain(domain: Mask) -> PixelGraph:
-    """Build the graph of `domain`, (h, w) bool."""
-    node = np.full(domain.shape, -1, dtype=np.int32)
-    pixels = np.flatnonzero(domain)
-    node.ravel()[pixels] = np.arange(len(pixels), dtype=np.int32)
-    right, down = domain[:, :-1] & domain[:, 1:], domain[:-1] & domain[1:]
-    tail = np.concatenate([node[:, :-1][right], node[:-1][down]])
-    head = np.concatenate([node[:, 1:][right], node[1:][down]])
-    row_start, neighbour, edge = _adjacency(tail, head, len(pixels))
-    return PixelGraph(
-        pixels=pixels,
-        tail=tail,
-        head=head,
-        across=int(np.count_nonzero(right)),
-        row_start=row_start,
-        neighbour=neighbour,
-        edge=edge,
-    )
+def _chords(n, xy, domain, scale, difference, variance):  # type: ignore[no-untyped-def]
+    height, width = domain.shape
+    for v in range(height):
+        for u in range(width):
+            for k in range(2):
+                y, x = v + k, u + 1 - k
+                if y < height and x < width and domain[v, u] and domain[y, x]:
+                    ends = (xy[v, u, 0], xy[v, u, 1], xy[y, x, 0], xy[y, x, 1], *scale)
+                    difference[k, v, u], variance[k, v, u] = _chord(n[v, u], n[y, x], ends)
 
 
 @njit(cache=True)
-def _adjacency(tail, head, count):  # type: ignore[no-untyped-def]
-    row_start = np.zeros(count + 1, np.int32)
-    for e in range(len(tail)):
-        row_start[tail[e] + 1] += 1
-        row_start[head[e] + 1] += 1
-    for i in range(count):
-        row_start[i + 1] += row_start[i]
-    fill = row_start[:-1].copy()
-    neighbour = np.empty(2 * len(tail), np.int32)
-    edge = np.empty(2 * len(tail), np.int32)
-    for e in range(len(tail)):
-        i, j = tail[e], head[e]
-        neighbour[fill[i]], edge[fill[i]] = j, e
-        neighbour[fill[j]], edge[fill[j]] = i, e
-        fill[i] += 1
-        fill[j] += 1
-    return row_start, neighbour, edge
-
-
-def divergence_on_graph(graph: PixelGraph, weight: FloatArray, difference: FloatArray) -> Float64Array:
-    """Right-hand side of the weighted least squares over edges, (n,): sums to 0 over every component."""
-    load = np.zeros(len(graph.pixels))
-    _accumulate(graph.tail, graph.head, weight * difference, load)
-    return load
-
-
-@njit(cache=True)
-def _accumulate(tail, head, flow, out):  # type: ignore[no-untyped-def]
-    for e in range(len(flow)):
-        out[head[e]] += flow[e]
-        out[tail[e]] -= flow[e]
+def _chord(first, second, ends):  # type: ignore[no-untyped-def]
+    mean = first + second
+    mean /= max(np.sqrt(mean[0] ** 2 + mean[1] ** 2 + mean[2] ** 2), 1e-6)
+    difference, _ = _along(mean[0], mean[1], mean[2], *ends)
+    one, facing1 = _along(first[0], first[1], first[2], *ends)
+    two, facing2 = _along(second[0], second[1], second[2], *ends)
+    bend = _BEND * (one - two)
+    return difference, 0.5 * (facing1**-4.0 + facing2**-4.0) + bend * bend
 
 
 class Components:

@@ -8,7 +8,7 @@ import numba
 import numpy as np
 from scipy import ndimage
 
-from vntoolkit.arrays import Array, Float32Array, Float64Array, FloatArray, Mask, Normals, Weight
+from vntoolkit.arrays import Array, Float32Array, Float64Array, Mask, Normals, Weight
 from vntoolkit.checks import checks_kinds, require_finite, require_same_size, require_some, sum_is_finite
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
@@ -16,10 +16,10 @@ from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
 from vntoolkit.integration.cast_shadows import DepthSteps
 from vntoolkit.integration.edges import (
     Components,
-    PixelGraph,
+    EdgeField,
     chords_from_normals,
     edges_from_slopes,
-    graph_from_domain,
+    weight_of_edges,
 )
 from vntoolkit.integration.poisson import CosineSolver, FourierSolver, MaskedSolver, RectangleSolver
 from vntoolkit.integration.slopes import RayField, rays_from_camera, slopes_from_normals
@@ -176,14 +176,6 @@ class DomainSolver:
     def _near(self) -> RayField:
         return self._rays.cropped(*self.components.box)
 
-    @cached_property
-    def _graph(self) -> PixelGraph:
-        return graph_from_domain(self.domain)
-
-    @cached_property
-    def _points(self) -> FloatArray:
-        return self._rays.image_plane_points(*self.domain.shape)[self.domain]
-
     def poisson(
         self, normals: Normals, weight: Weight | None, steps: DepthSteps | None = None
     ) -> Float64Array:
@@ -206,41 +198,25 @@ class DomainSolver:
         self, normals: Normals, weight: Weight | None, steps: DepthSteps | None = None
     ) -> Float64Array:
         """Robust least squares that cuts edges across depth discontinuities."""
-        from vntoolkit.integration.discontinuity import (
-            confidence_of_edges,
-            evidence_from_chords,
-            solve_discontinuous,
-        )
+        from vntoolkit.integration.discontinuity import solve_discontinuous
 
-        graph, scale = self._graph, self._rays.pixels_per_unit
-        chords = chords_from_normals(
-            normals[self.domain],
-            self._points,
-            graph,
+        box, scale = self.components.box, self._rays.pixels_per_unit
+        inside = self.domain[box]
+        difference, variance = chords_from_normals(
+            normals[box],
+            self._near.image_plane_points(*inside.shape),
+            inside,
             perspective=self._rays.depth_scales_ray > 0.0,
             pixels_per_unit=scale,
             steepest_slope_deg=self._options.steepest_slope_deg,
         )
-        difference, confidence = chords.difference, confidence_of_edges(graph, weight)
-        if steps is not None:
-            difference, confidence = steps.added_to_graph(graph, self.domain.shape[1], difference, confidence)
-        nodes = solve_discontinuous(
-            graph,
-            difference,
-            evidence_from_chords(graph, chords, self.domain),
-            confidence,
-            start=self._start() * scale,
-            most_iterations=self._options.most_iterations,
+        edges = EdgeField(
+            difference=difference, weight=weight_of_edges(inside, None if weight is None else weight[box])
         )
-        return self._keep(self._image(nodes)[self.components.box] / scale)
-
-    def _start(self) -> Float64Array:
-        return np.zeros(len(self._graph.pixels)) if self._last is None else self._last[self.domain]
-
-    def _image(self, nodes: Float64Array) -> Float64Array:
-        image = np.zeros(self.domain.shape)
-        image[self.domain] = nodes
-        return image
+        if steps is not None:
+            edges = steps.added_to(edges, box, 1.0)
+        start = None if self._last is None else self._last[box] * scale
+        return self._keep(solve_discontinuous(self._masked, edges, variance, start) / scale)
 
     def _keep(self, solution: Float64Array) -> Float64Array:
         self._last = self.components.remove_means(solution)

@@ -150,20 +150,27 @@ class MaskedSolver:
         return -self._inside.astype(np.float32)
 
     def solve(
-        self, edges: EdgeField, start: FloatArray | None = None, *, weighted: bool = False
+        self,
+        edges: EdgeField,
+        start: FloatArray | None = None,
+        *,
+        weighted: bool = False,
+        tolerance: float | None = None,
+        most_iterations: int | None = None,
     ) -> Float64Array:
         """Return the depth (h, w) whose differences fit `edges` best; offsets per component are arbitrary.
 
         weighted: whether the weights differ between edges of the domain. start: a first guess (h, w), for
-        example the frame before. Raises `SolverFailed` if the iterations do not suffice.
+        example the frame before. tolerance, most_iterations: where it stops, as a step among others need not
+        be solved to the end. Without: those of the solver; raises `SolverFailed` where they do not suffice.
         """
-        right, down = self._padded(edges.right_weight), self._padded(edges.down_weight)
+        right, down = (self._padded(weight) for weight in edges.weight)
         self._levels = _levels_of(right, down) if weighted else None
         load, depth = np.zeros(right.shape), np.zeros(right.shape)
-        _load(self._padded(edges.right), self._padded(edges.down), right, down, load)
+        _load(*(self._padded(each) for each in edges.difference), right, down, load)
         if start is not None and load.any():  # else 0 is the solution
             depth[1:-1, 1:-1] = self._padded(start)[1:-1, 1:-1]
-        self._iterate(right, down, depth, load)
+        self._iterate(right, down, depth, load, tolerance, most_iterations)
         out = np.zeros(self._shape)
         box_height, box_width = (s.stop - s.start for s in self._box)
         out[self._box] = depth[1 : box_height + 1, 1 : box_width + 1]
@@ -175,8 +182,12 @@ class MaskedSolver:
         down: Float32Array,
         depth: Float64Array,
         load: Float64Array,
+        given_tolerance: float | None,
+        given_most: int | None,
     ) -> None:
         """Preconditioned conjugate gradients, in place; only directions may be of single precision."""
+        tolerance = self._tolerance if given_tolerance is None else given_tolerance
+        most = self._most_iterations if given_most is None else given_most
         direction, product = np.zeros(depth.shape, np.float32), np.zeros(depth.shape)
         scaled, sums = np.empty(self._inside.shape, np.float32), np.zeros(len(depth))
         _apply(right, down, depth, product, sums)
@@ -186,24 +197,26 @@ class MaskedSolver:
         residual *= 1.0 / largest  # so that single precision holds its smallest parts
         step, energy = 0.0, np.inf
         self.iterations = 0
-        while self.iterations <= self._most_iterations:
+        while self.iterations <= most:
             _update(depth, residual, direction, product, step, step * largest, scaled)
             correction = self._precondition(scaled)
             _dot(residual, correction, sums)
             previous, energy = energy, float(sums.sum())
             left = energy * largest**2
             scale = max(scale, left) if self.iterations == 0 else scale
-            if left <= self._tolerance**2 * scale:
+            if left <= tolerance**2 * scale:
                 scale = float(np.vdot(depth, load)) or 1.0  # the solution's own energy, not the start's error
-                if left <= self._tolerance**2 * scale:
+                if left <= tolerance**2 * scale:
                     return
             _advance(direction, correction, energy / previous)
             _apply(right, down, direction, product, sums)
             step = energy / float(sums.sum())
             self.iterations += 1
+        if given_most is not None:
+            return
         raise SolverFailed(
             f"masked Poisson did not converge in {self._most_iterations} iterations (relative "
-            f"residual {np.sqrt(energy * largest**2 / scale):.1e}, wanted {self._tolerance:.1e}): "
+            f"residual {np.sqrt(energy * largest**2 / scale):.1e}, wanted {tolerance:.1e}): "
             "raise most_iterations or tolerance"
         )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias, get_args, get_origin
 
@@ -119,22 +120,15 @@ def _known_keys(model: type[BaseModel], location: tuple[int | str, ...]) -> list
 def rig_from_entry(entry: RigFile) -> Rig:
     """Return the rig of a validated rig.json; raise `BadInput` for impossible numbers."""
     response, colour = entry.response, entry.colour
-    curve = Transfer.from_text(colour.transfer)
     quality = None if entry.quality is None else FitQuality(**entry.quality.model_dump())
     return Rig(
         camera=camera_from_entry(entry.camera),
         response=LightResponse(
-            matrix=np.array(response.matrix),
-            ambient=np.array(response.ambient),
-            light_colours=None if response.light_colours is None else np.array(response.light_colours),
-            light_doubts_deg=(
-                None if response.light_doubts_deg is None else np.array(response.light_doubts_deg)
-            ),
+            **_arrays(response, "matrix", "ambient", "light_colours", "light_doubts_deg"),
             variation=None if response.variation is None else _variation_from_entry(response.variation),
         ),
-        transfer=Transfer(
-            curve=curve.curve,
-            gamma=curve.gamma,
+        transfer=replace(
+            Transfer.from_text(colour.transfer),
             black_level=colour.black_level,
             white_level=colour.white_level,
         ),
@@ -145,6 +139,12 @@ def rig_from_entry(entry: RigFile) -> Rig:
     )
 
 
+def _arrays(entry: Entry, *names: str) -> dict[str, Any]:
+    """Return these values of an entry as arrays, by name; None stays."""
+    values = {name: getattr(entry, name) for name in names}
+    return {name: None if value is None else np.array(value) for name, value in values.items()}
+
+
 def entry_from_rig(rig: Rig) -> RigFile:
     """Return the rig as rig.json and the manifest store it."""
     response, variation = rig.response, rig.response.variation
@@ -152,11 +152,8 @@ def entry_from_rig(rig: Rig) -> RigFile:
         version=_version_of(rig),
         camera=entry_from_camera(rig.camera),
         response=ResponseEntry.model_validate(
-            {
-                **{
-                    name: getattr(response, name)
-                    for name in ("matrix", "ambient", "light_colours", "light_doubts_deg")
-                },
+            vars(response)
+            | {
                 "material": rig.material or None,
                 "variation": None if variation is None else _entry_from_variation(variation),
             }
@@ -239,11 +236,9 @@ def _gel_from_entry(entry: GelEntry) -> GelResponse:
         coefficients = completed_coefficients(coefficients)
     return GelResponse(
         coefficients=coefficients,
-        centre_px=np.array(entry.centre_px),
+        **_arrays(entry, "centre_px", "errors_deg", "untouched"),
         scale_px=entry.scale_px,
         reach=entry.reach,
-        errors_deg=None if entry.errors_deg is None else np.array(entry.errors_deg),
-        untouched=None if entry.untouched is None else np.array(entry.untouched),
         rectification=None if view is None else Rectification(**view.model_dump(exclude={"filmed_px"})),
         filmed_px=None if view is None else view.filmed_px,
     )

@@ -29,16 +29,13 @@ class FitMethod(Enum):
     MSAC = "msac"  # minimal samples with a truncated cost: many bad pairs
 
 
-FitMethodName: TypeAlias = Literal["trimmed", "msac"]
-
-
 @dataclass(frozen=True, kw_only=True)
 class ResponseFitOptions(Options):
     """Options of the fit of a light response."""
 
     model: Named[ResponseModel, ResponseModelName] = named(ResponseModel.LINEAR)
     """With or without ambient light."""
-    method: Named[FitMethod, FitMethodName] = named(FitMethod.TRIMMED)
+    method: Named[FitMethod, Literal["trimmed", "msac"]] = named(FitMethod.TRIMMED)
     """How outliers are left out."""
     shadow_share: float = 0.08
     """(trimmed) a pair counts as shadowed if a channel's estimated contribution is at most this fraction of
@@ -127,9 +124,6 @@ class LabelOffset(Enum):
     NONE = "none"
 
 
-LabelOffsetName: TypeAlias = Literal["common", "own", "none"]
-
-
 @dataclass(frozen=True, kw_only=True)
 class PressOptions(Options):
     """Options of the calibration on presses."""
@@ -145,7 +139,7 @@ class PressOptions(Options):
     flat_share: float = 0.67
     """Pixels drawn where the gel lies flat, over those of the contact; more make the gel around a touch
     flatter and the ball less round."""
-    label_offset: Named[LabelOffset, LabelOffsetName] = named(LabelOffset.COMMON)
+    label_offset: Named[LabelOffset, Literal["common", "own", "none"]] = named(LabelOffset.COMMON)
     """Whether the circles move to their dents."""
     outlier_sigmas: float = 4.0
     """Pixels whose colour differs from M's by more than this many robust standard deviations (dots, creases)

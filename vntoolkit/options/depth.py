@@ -34,9 +34,6 @@ class Precision(Enum):
     DOUBLE = "double"
 
 
-PrecisionName: TypeAlias = Literal["single", "double"]
-
-
 @dataclass(frozen=True, kw_only=True)
 class IntegrationOptions(Options):
     """Options of `DepthIntegrator`."""
@@ -50,7 +47,7 @@ class IntegrationOptions(Options):
     keeps grazing and backward normals from exploding."""
     least_weight: float = 0.02
     """Pixels of lower confidence leave the domain (0 to 1)."""
-    precision: Named[Precision, PrecisionName] = named(Precision.SINGLE)
+    precision: Named[Precision, Literal["single", "double"]] = named(Precision.SINGLE)
     """Floating-point precision of cosine and fourier."""
     tolerance: float = 1e-5
     """Relative residual at which poisson stops."""

@@ -39,17 +39,11 @@ class DepthPlacement(Enum):
     REAR = "rear"
 
 
-DepthPlacementName: TypeAlias = Literal["auto", "centre", "rear"]
-
-
 class ArmPose(Enum):
     """How the arms are held when the garment is attached: aimed at its SLEEVES, or as in the file's REST."""
 
     SLEEVES = "sleeves"
     REST = "rest"
-
-
-ArmPoseName: TypeAlias = Literal["sleeves", "rest"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,9 +57,9 @@ class GarmentFitOptions(Options):
     fullness: float | None = None
     """Height of the garment over the height of what it covers, hips to neck or hips to feet. Default: 1.3;
     trousers 1.05, a skirt 0.65."""
-    depth: Named[DepthPlacement, DepthPlacementName] = named(DepthPlacement.AUTO)
+    depth: Named[DepthPlacement, Literal["auto", "centre", "rear"]] = named(DepthPlacement.AUTO)
     """Where the bones lie in the garment's depth."""
-    arms: Named[ArmPose, ArmPoseName] = named(ArmPose.SLEEVES)
+    arms: Named[ArmPose, Literal["sleeves", "rest"]] = named(ArmPose.SLEEVES)
     """Pose of the arms when the garment is attached. A fit file that gives a pose or landmarks overrides it.
     """
 
@@ -87,9 +81,6 @@ class Falloff(Enum):
     INVERSE = "inverse"
 
 
-FalloffName: TypeAlias = Literal["heat", "inverse"]
-
-
 _BONES = {Falloff.HEAT: 8, Falloff.INVERSE: 4}
 
 
@@ -97,7 +88,7 @@ _BONES = {Falloff.HEAT: 8, Falloff.INVERSE: 4}
 class WeightOptions(Options):
     """Options of the skinning weights."""
 
-    falloff: Named[Falloff, FalloffName] = named(Falloff.HEAT)
+    falloff: Named[Falloff, Literal["heat", "inverse"]] = named(Falloff.HEAT)
     """How a vertex weighs its bones: heat, by heat along the cloth; inverse, by the inverse distance as
     published."""
     neighbours: int | None = None
@@ -127,9 +118,6 @@ class Loop(Enum):
     PING_PONG = "ping-pong"
 
 
-LoopName: TypeAlias = Literal["none", "repeat", "ping-pong"]
-
-
 @dataclass(frozen=True, kw_only=True)
 class ClockOptions(Options):
     """Start, end and rate of the result."""
@@ -140,7 +128,7 @@ class ClockOptions(Options):
     """Second of the motion at which it ends. Default: the motion's end."""
     speed: float = 1.0
     """Seconds of motion per second of result."""
-    loop: Named[Loop, LoopName] = named(Loop.NONE)
+    loop: Named[Loop, Literal["none", "repeat", "ping-pong"]] = named(Loop.NONE)
     """What a cloth shorter than the motion does."""
     frame_rate_hz: float | None = None
     """Frames per second of the result. Default: the cloth's. Blender plays a file at its scene's rate, 24
@@ -169,17 +157,11 @@ class Anchor(Enum):
     NONE = "none"
 
 
-AnchorName: TypeAlias = Literal["bones", "trunk", "none"]
-
-
 class Blend(Enum):
     """How a vertex mixes the motions of its bones: LINEAR as published, DUAL_QUATERNION rigidly."""
 
     LINEAR = "linear"
     DUAL_QUATERNION = "dual-quaternion"
-
-
-BlendName: TypeAlias = Literal["linear", "dual-quaternion"]
 
 
 FIGURE_HEIGHT_M = 1.65  # toes to crown of an average adult, as skeletons measure it
@@ -195,9 +177,6 @@ class Carrier(Enum):
     CACHE = "cache"
 
 
-CarrierName: TypeAlias = Literal["skin", "cache"]
-
-
 class MotionUpAxis(Enum):
     """Which axis of the motion file points up; AUTO takes the longer of y and z of the rest pose."""
 
@@ -206,28 +185,25 @@ class MotionUpAxis(Enum):
     Z = "z"
 
 
-MotionUpAxisName: TypeAlias = Literal["auto", "y", "z"]
-
-
 @dataclass(frozen=True, kw_only=True)
 class DressOptions(Options):
     """Options of `dress`, beyond those of its stages."""
 
-    blend: Named[Blend, BlendName] = named(Blend.LINEAR)
+    blend: Named[Blend, Literal["linear", "dual-quaternion"]] = named(Blend.LINEAR)
     """How a vertex mixes the motions of its bones."""
-    anchor: Named[Anchor, AnchorName] = named(Anchor.BONES)
+    anchor: Named[Anchor, Literal["bones", "trunk", "none"]] = named(Anchor.BONES)
     """Which part of the performer's motion is removed from the cloth. bones: the motion of trunk and arms, so
     that sleeves follow the figure's arms alone; folds keep moving. trunk: the motion of the trunk; captured
     sleeves swing on top of the figure's. none: nothing, the performer's steps stay."""
     figure_height: float = FIGURE_HEIGHT_M
     """Metres from the toes to the crown, for motion files that carry no unit."""
-    up_axis: Named[MotionUpAxis, MotionUpAxisName] = named(MotionUpAxis.AUTO)
+    up_axis: Named[MotionUpAxis, Literal["auto", "y", "z"]] = named(MotionUpAxis.AUTO)
     """Which axis of the motion file points up."""
     max_stretch: float = 3.0
     """Largest stretch of a triangle's edge where the parts of two bones meet. A triangle that the motion
     stretches more is cut: the capture joined what only touched, such as sleeve and flank. 0 cuts nothing;
     weights by distance cut nothing either."""
-    carrier: Named[Carrier, CarrierName] = named(Carrier.SKIN)
+    carrier: Named[Carrier, Literal["skin", "cache"]] = named(Carrier.SKIN)
     """What moves the cloth in USD and GLB: a skin (joint weights, and blend shapes for the folds), or a cache
     of every vertex in every frame, exact and large. Dual quaternions are written as a cache."""
     centre: bool = True

@@ -26,14 +26,11 @@ class Alignment(Enum):
     SIMILARITY = "similarity"  # and one scale: that of a perspective camera's depth
 
 
-AlignmentName: TypeAlias = Literal["none", "rigid", "similarity"]
-
-
 @dataclass(frozen=True, kw_only=True)
 class AlignmentOptions(Options):
     """How meshes are aligned."""
 
-    align: Named[Alignment, AlignmentName] = named(Alignment.NONE)
+    align: Named[Alignment, Literal["none", "rigid", "similarity"]] = named(Alignment.NONE)
     """What may move: nothing, position and orientation (rigid), or the scale too (similarity)."""
     samples: int = 20000
     """Vertices that are paired."""

@@ -48,9 +48,6 @@ class MeshUpAxis(Enum):
         return "x right, y away from the viewer, z up"
 
 
-MeshUpAxisName: TypeAlias = Literal["y", "z"]
-
-
 @dataclass(frozen=True, kw_only=True)
 class CleanOptions(Options):
     """What to clean."""
@@ -94,9 +91,6 @@ class ExportedSurface(Enum):
     FRAMES = "frames"
 
 
-ExportedSurfaceName: TypeAlias = Literal["auto", "tracked", "frames"]
-
-
 class FileUnit(Enum):
     """Length unit of exported files."""
 
@@ -108,9 +102,6 @@ class FileUnit(Enum):
     def metres(self) -> float:
         """Its length."""
         return {"m": 1.0, "cm": 0.01, "mm": 0.001}[self.value]
-
-
-FileUnitName: TypeAlias = Literal["m", "cm", "mm"]
 
 
 _OF_MESHES = (ExportFormat.PLY, ExportFormat.OBJ, ExportFormat.USD, ExportFormat.GLB)
@@ -127,14 +118,14 @@ class ExportOptions(Options):
     normal maps. diligent: a folder a frame, laid out like the benchmark's."""
     normal_convention: Named[NormalConvention, NormalConventionName] = named(NormalConvention.OPENGL)
     """Axes of normal maps (png, npz, diligent)."""
-    units: Named[FileUnit | None, FileUnitName | None] = named(None)
+    units: Named[FileUnit | None, Literal["m", "cm", "mm"] | None] = named(None)
     """Length unit of the files, for a result that has a scale. Default: metres; without a scale, lengths stay
     as they are."""
-    up: Named[MeshUpAxis, MeshUpAxisName] = named(MeshUpAxis.Y)
+    up: Named[MeshUpAxis, Literal["y", "z"]] = named(MeshUpAxis.Y)
     """Axis that points up in meshes."""
     scale: float | None = None
     """Metres for a length of 1 in a result that has no scale of its own (lengths in pixels, or free)."""
-    mesh: Named[ExportedSurface, ExportedSurfaceName] = named(ExportedSurface.AUTO)
+    mesh: Named[ExportedSurface, Literal["auto", "tracked", "frames"]] = named(ExportedSurface.AUTO)
     """Which meshes: tracked (the registered surface), frames (those of each frame), or auto (the registered
     one where there is one)."""
     centre: bool = True

@@ -11,13 +11,11 @@ from vntoolkit.options.base import Named, Options, named
 
 
 @dataclass(frozen=True, kw_only=True)
-class ReadingLimits(Options):
-    """The largest files that are read."""
+class PictureLimits(Options):
+    """The largest pictures that are read."""
 
     max_megapixels: float = 200.0
     """Larger images and frames are refused before memory is asked for them (million pixels)."""
-    max_vertices: int = 20_000_000
-    """Meshes and point clouds of more vertices are refused, and so are files too long for as many."""
 
     def __post_init__(self) -> None:
         """Refuse limits that would let everything in, or nothing."""
@@ -26,10 +24,26 @@ class ReadingLimits(Options):
             raise BadInput(
                 f"--max-megapixels: expected a number above 0, such as 400, got {self.max_megapixels:g}"
             )
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeshLimits(Options):
+    """The largest meshes that are read."""
+
+    max_vertices: int = 20_000_000
+    """Meshes and point clouds of more vertices are refused, and so are files too long for as many."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
         if self.max_vertices < 1:
             raise BadInput(
                 f"--max-vertices: expected a whole number above 0, such as 50000000, got {self.max_vertices}"
             )
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReadingLimits(PictureLimits, MeshLimits):
+    """The largest files that are read."""
 
 
 class Gaps(Enum):
@@ -51,9 +65,6 @@ class Bayer(Enum):
     GBRG = "gbrg"
 
 
-BayerName: TypeAlias = Literal["rggb", "bggr", "grbg", "gbrg"]
-
-
 class Demosaic(Enum):
     """How the two missing colours of a pixel are found."""
 
@@ -63,17 +74,14 @@ class Demosaic(Enum):
     HALF = "half"  # not at all: 2×2 pixels become one
 
 
-DemosaicName: TypeAlias = Literal["bilinear", "edge", "half"]
-
-
 @dataclass(frozen=True, kw_only=True)
 class SensorOptions(Options):
     """How a sensor's own samples are read."""
 
-    bayer: Named[Bayer | None, BayerName | None] = named(None)
+    bayer: Named[Bayer | None, Literal["rggb", "bggr", "grbg", "gbrg"] | None] = named(None)
     """Colours of the top left 2×2 pixels, row by row, of frames stored as grey. Camera raw files, and files
     that state it, need none."""
-    demosaic: Named[Demosaic, DemosaicName] = named(Demosaic.BILINEAR)
+    demosaic: Named[Demosaic, Literal["bilinear", "edge", "half"]] = named(Demosaic.BILINEAR)
     """How the missing colours of a Bayer mosaic are found: bilinear, edge (along edges), or half (2×2 pixels
     become one of half the picture's size)."""
     bits: int | None = None

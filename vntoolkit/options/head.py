@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field, replace
 from enum import Enum
-from typing import Literal, Self, TypeAlias
+from typing import Literal, Self
 
 from vntoolkit.errors import BadInput
 from vntoolkit.options.base import Named, Options, named
@@ -16,18 +16,12 @@ class Features(Enum):
     SIFT = "sift"  # features matched, poses by COLMAP's mapping: photographs, up to 20 degrees apart; slower
 
 
-FeaturesName: TypeAlias = Literal["tracks", "sift"]
-
-
 class HeadShape(Enum):
     """Which shape gives the normals."""
 
     HULL = "hull"  # silhouettes alone: quick, and enough for M on a well-lit head
     FUSED = "fused"  # silhouettes and stereo
     REFINED = "refined"  # fused, then corrected by the normals that its colours give, in turns with M
-
-
-HeadShapeName: TypeAlias = Literal["hull", "fused", "refined"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,7 +61,7 @@ class TrackOptions(Options):
 class FollowOptions(Options):
     """How frames are matched."""
 
-    features: Named[Features, FeaturesName] = named(Features.TRACKS)
+    features: Named[Features, Literal["tracks", "sift"]] = named(Features.TRACKS)
     """What is matched between frames: tracks of the skin (video), or SIFT features (photographs up to 20
     degrees apart)."""
     silhouettes: SilhouetteOptions = field(default_factory=SilhouetteOptions)
@@ -220,7 +214,7 @@ class LightOptions(Options):
 class HeadOptions(Options):
     """Options of all stages."""
 
-    head_shape: Named[HeadShape, HeadShapeName] = named(HeadShape.REFINED)
+    head_shape: Named[HeadShape, Literal["hull", "fused", "refined"]] = named(HeadShape.REFINED)
     """Shape that gives the normals: from silhouettes only, fused with stereo, or refined by the normals of
     all frames."""
     following: FollowOptions = field(default_factory=FollowOptions)

@@ -16,9 +16,6 @@ class ClippedPixels(Enum):
     EXCLUDE = "exclude"
 
 
-ClippedPixelsName: TypeAlias = Literal["downweight", "exclude"]
-
-
 @dataclass(frozen=True, kw_only=True)
 class InversionOptions(Options):
     """How colours become normals."""
@@ -30,7 +27,7 @@ class InversionOptions(Options):
     """Relative departure from the expected albedo that halves a pixel's weight."""
     darkest: float = 0.05
     """Share of the expected albedo below which a pixel is black and has no normal."""
-    clipped: Named[ClippedPixels, ClippedPixelsName] = named(ClippedPixels.DOWNWEIGHT)
+    clipped: Named[ClippedPixels, Literal["downweight", "exclude"]] = named(ClippedPixels.DOWNWEIGHT)
     """What becomes of saturated pixels."""
 
     def __post_init__(self) -> None:

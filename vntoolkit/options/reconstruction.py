@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Literal, TypeAlias
+from typing import Literal
 
 from vntoolkit.errors import BadInput
 from vntoolkit.options.base import Named, Options, named
@@ -20,17 +20,11 @@ class Product(Enum):
     MESH = "mesh"
 
 
-ProductName: TypeAlias = Literal["normals", "depth", "mesh"]
-
-
 class OnError(Enum):
     """What a frame that fails does to the run."""
 
     STOP = "stop"
     SKIP = "skip"  # the frame is left out, and named in the manifest and at the end
-
-
-OnErrorName: TypeAlias = Literal["stop", "skip"]
 
 
 class MaterialSearch(Enum):
@@ -40,17 +34,11 @@ class MaterialSearch(Enum):
     CALIBRATED = "calibrated"  # one: what the rig was calibrated on
 
 
-MaterialSearchName: TypeAlias = Literal["auto", "calibrated"]
-
-
 class DepthOffset(Enum):
     """How the constant that normals leave free is fixed, frame by frame."""
 
     REFERENCE = "reference"  # so that depth rests where the subject does: tied to the first frame
     MEAN = "mean"  # mean depth 0 (perspective: 1) over every connected part
-
-
-DepthOffsetName: TypeAlias = Literal["reference", "mean"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,19 +48,19 @@ class ReconstructOptions(Options):
     A rig fitted to presses on a gel turns materials and shadows off: it is the gel's own.
     """
 
-    to: Named[Product, ProductName] = named(Product.MESH)
+    to: Named[Product, Literal["normals", "depth", "mesh"]] = named(Product.MESH)
     """How far to go; each includes what comes before it."""
     distance_m: float | None = None
     """Distance in metres from a perspective camera to the subject, along the optical axis. It fixes the scale
     that normals alone leave free."""
-    materials: Named[MaterialSearch | int, MaterialSearchName | int] = named(MaterialSearch.AUTO)
+    materials: Named[MaterialSearch | int, Literal["auto", "calibrated"] | int] = named(MaterialSearch.AUTO)
     """How many materials the subject has: a number, or auto to find as many as there are, or calibrated for
     the calibration material alone. The first frames tell their reflectances. A rig without the colours of its
     lamps knows the calibration material alone."""
     shadows: Named[ShadowMethod, ShadowMethodName] = named(ShadowMethod.ROBUST)
     """Method that finds where the subject shadows itself: robust, published (the paper's detector) or none.
     The surface in shadow is then recovered, and visibility labels are written."""
-    depth_offset: Named[DepthOffset, DepthOffsetName] = named(DepthOffset.REFERENCE)
+    depth_offset: Named[DepthOffset, Literal["reference", "mean"]] = named(DepthOffset.REFERENCE)
     """How the free constant of the depth is fixed. reference ties every frame to one, so that depth rests
     where the subject does. mean gives every connected part a mean depth of 0 (perspective: 1)."""
     reference_frame: int | None = None
@@ -81,7 +69,7 @@ class ReconstructOptions(Options):
     smoothing: float = 0.0
     """Average a pixel with the frames before and after where its colour differs by less than this share of
     full scale. 0 is off; about 3 times the noise is useful."""
-    on_error: Named[OnError, OnErrorName] = named(OnError.STOP)
+    on_error: Named[OnError, Literal["stop", "skip"]] = named(OnError.STOP)
     """What a frame that fails does: stop the run, or skip the frame and name it at the end."""
     inversion: InversionOptions = field(default_factory=InversionOptions)
     integration: IntegrationOptions = field(default_factory=IntegrationOptions)

@@ -34,13 +34,7 @@ from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.io.footage.captures import Capture
 from vntoolkit.io.footage.decoding import Undistorter
 from vntoolkit.options.footage import Gaps
-from vntoolkit.options.head import (
-    Features,
-    FollowOptions,
-    HeadOptions,
-    HeadShape,
-    HullOptions,
-)
+from vntoolkit.options.head import Features, FollowOptions, HeadOptions, HeadShape, HullOptions
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline.calibrate import CalibrationJob, rig_of

@@ -23,12 +23,7 @@ from vntoolkit.options.calibration import LabelOffset, PressOptions
 from vntoolkit.options.footage import Gaps, SensorOptions
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.rig import Rig
-from vntoolkit.photometry.transfer import (
-    Transfer,
-    TransferCurve,
-    encoded_from_linear,
-    linear_from_encoded,
-)
+from vntoolkit.photometry.transfer import Transfer, TransferCurve, encoded_from_linear, linear_from_encoded
 from vntoolkit.tactile.circles import (
     FoundCircle,
     Press,

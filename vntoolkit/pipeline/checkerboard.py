@@ -12,10 +12,7 @@ from vntoolkit.io.footage.frame_range import sampled
 from vntoolkit.io.footage.images import write_png
 from vntoolkit.options.tracking import CheckerboardOptions
 from vntoolkit.pipeline.opened_result import OpenedResult, open_result
-from vntoolkit.pipeline.tracked_folder import (
-    Tracks,
-    read_tracks,
-)
+from vntoolkit.pipeline.tracked_folder import Tracks, read_tracks
 from vntoolkit.tracking.checkerboard import checkerboard_frame
 
 _SHEET_COLUMNS, _SHEET_ROWS = 4, 2
@@ -38,13 +35,19 @@ def write_checkerboard(
 
     target = track_folder or folder / "track"
     tracks, result = read_tracks(target), open_result(folder, says_missing=False)
-    sheet = _Sheet(len(tracks.numbers))
-    frames = sheet.passing(_frames(result, tracks, options or CheckerboardOptions()))
-    write_video(target / "checkerboard.mkv", frames, tracks.sequence.frame_rate_hz)
-    write_png(target / "checkerboard.png", sheet.image())
-    return CheckerboardFiles(
-        video=target / "checkerboard.mkv", sheet=target / "checkerboard.png", moments=sheet.kept
-    )
+    wanted = set(sampled(range(len(tracks.numbers)), _SHEET_COLUMNS * _SHEET_ROWS))
+    moments: dict[int, ByteArray] = {}
+
+    def frames() -> Iterator[ByteArray]:
+        for row, frame in enumerate(_frames(result, tracks, options or CheckerboardOptions())):
+            if row in wanted:
+                moments[row] = frame
+            yield frame
+
+    video, sheet = target / "checkerboard.mkv", target / "checkerboard.png"
+    write_video(video, frames(), tracks.sequence.frame_rate_hz)
+    write_png(sheet, _sheet(list(moments.values())))
+    return CheckerboardFiles(video=video, sheet=sheet, moments=moments)
 
 
 def _frames(result: OpenedResult, tracks: Tracks, options: CheckerboardOptions) -> Iterator[ByteArray]:
@@ -62,22 +65,9 @@ def _frames(result: OpenedResult, tracks: Tracks, options: CheckerboardOptions) 
         yield drawn
 
 
-class _Sheet:
-    """Keeps a few frames, evenly spread, of those that pass."""
-
-    def __init__(self, frame_count: int) -> None:
-        self._wanted = set(sampled(range(frame_count), _SHEET_COLUMNS * _SHEET_ROWS))
-        self.kept: dict[int, ByteArray] = {}
-
-    def passing(self, frames: Iterator[ByteArray]) -> Iterator[ByteArray]:
-        for row, frame in enumerate(frames):
-            if row in self._wanted:
-                self.kept[row] = frame
-            yield frame
-
-    def image(self) -> ByteArray:
-        kept = list(self.kept.values())
-        columns = min(_SHEET_COLUMNS, len(kept))
-        cells = kept + [np.zeros_like(kept[0])] * (-len(kept) % columns)
-        rows = [np.concatenate(cells[i : i + columns], axis=1) for i in range(0, len(cells), columns)]
-        return np.concatenate(rows)
+def _sheet(kept: list[ByteArray]) -> ByteArray:
+    """Return the frames as one picture, row by row."""
+    columns = min(_SHEET_COLUMNS, len(kept))
+    cells = kept + [np.zeros_like(kept[0])] * (-len(kept) % columns)
+    rows = [np.concatenate(cells[i : i + columns], axis=1) for i in range(0, len(cells), columns)]
+    return np.concatenate(rows)

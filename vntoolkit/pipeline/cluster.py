@@ -170,7 +170,7 @@ def _collect(
                 future = finished.get(timeout=_SECONDS_BETWEEN_LOOKS)
             if future in running:
                 del running[future]
-                yield from _results_of(future)
+                yield from result_of(future, "one block of frames")
             if time.monotonic() - looked_at > _SECONDS_BETWEEN_LOOKS:
                 watched.look()
                 looked_at = time.monotonic()
@@ -195,15 +195,16 @@ def _left_with_silent(client: Any, watched: _Watched, running: Mapping[Any, Any]
     return [future for future in running if not future.done() and future.key not in at_work]
 
 
-def _results_of(future: Any) -> Any:
+def result_of(future: Any, what: str) -> Any:
+    """Return what was made; raise `VntError` where what was asked for ended several workers."""
     import distributed
 
     try:
         return future.result()
     except distributed.KilledWorker as error:
         raise VntError(
-            "one block of frames ended several workers, one after the other (out of memory?); what is "
-            "finished is on disk: run the same command again to go on"
+            f"{what} ended several workers, one after the other (out of memory?); what is finished is on "
+            "disk: run the same command again to go on"
         ) from error
 
 

@@ -4,7 +4,7 @@ What a user does with lamps and a camera of their own, in the same order and by 
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from vntoolkit.geometry.board_layout import BoardLayout
@@ -16,7 +16,6 @@ from vntoolkit.options.reconstruction import ReconstructOptions
 from vntoolkit.options.simulation import DemoOptions, SceneOptions
 from vntoolkit.pipeline.calibrate import CalibrationJob, calibrate_board
 from vntoolkit.pipeline.outputs import ReconstructionFolder
-from vntoolkit.pipeline.processes import processes_kept
 from vntoolkit.pipeline.reconstruct import ReconstructionSummary, reconstruct
 from vntoolkit.pipeline.request import Request
 from vntoolkit.pipeline.simulate import SimulationFolder, SimulationJob, simulate
@@ -28,69 +27,43 @@ _BOARD_STEP = 3  # of its 240 frames: neighbours show the same tilt
 _DEGREE = 2  # of the polynomials by which M varies
 _FIELD_WIDTH_M = 1.42  # one zoom for the board and the garment, as on a real set
 
-Stage = Callable[[str, int, int], None]
-
-
-@dataclass(frozen=True, kw_only=True)
-class DemoFolder:
-    """Where the demonstration's parts lie."""
-
-    root: Path
-
-    @property
-    def board(self) -> Path:
-        """The simulated footage of the calibration board."""
-        return self.root / "board"
-
-    @property
-    def rig(self) -> Path:
-        """The rig that was fitted to it."""
-        return self.root / "rig.json"
-
-    @property
-    def garment(self) -> Path:
-        """The simulated capture, with its truth."""
-        return self.root / "sweater"
-
-    @property
-    def reconstruction(self) -> Path:
-        """What was made of it."""
-        return self.root / "reconstruction"
+# Where the parts lie: footage of the board, its rig, the garment's capture, and what was made of it.
+BOARD, RIG, GARMENT, RECONSTRUCTION = "board", "rig.json", "sweater", "reconstruction"
 
 
 def run_demo(
-    folder: DemoFolder,
+    root: Path,
     options: DemoOptions | None = None,
     *,
     jobs: int = 1,
     overwrite: bool = False,
-    on_progress: Stage = lambda stage, done, total: None,
+    on_start: Callable[[str, int, int], None] = lambda stage, total, done: None,
+    on_frame: Callable[[object], None] = lambda finished: None,
 ) -> ReconstructionSummary:
     """Simulate, calibrate, simulate, reconstruct; go on where an earlier run stopped.
 
-    on_progress is told the stage's name, how many of its frames are done, and of how many.
+    on_start is told the stage's name, how many frames it has and how many are done; on_frame each further
+    one.
     """
     options = options or DemoOptions()
     films = {
-        "film the board": _film(_BOARD, folder.board, f"::{_BOARD_STEP}", options, sample="sweater"),
-        "film the sweater": _film("sweater", folder.garment, f":{options.frames}", options),
+        "film the board": _film(_BOARD, root / BOARD, f"::{_BOARD_STEP}", options, sample="sweater"),
+        "film the sweater": _film("sweater", root / GARMENT, f":{options.frames}", options),
     }
-    with write_lock(folder.root), processes_kept():
+    with write_lock(root):
         for stage, job in films.items():
-            count = _Counter(stage, on_progress)
-            simulate(job, jobs=jobs, overwrite=overwrite, on_start=count.start, on_frame=count.advance)
+            start = partial(on_start, stage)
+            simulate(job, jobs=jobs, overwrite=overwrite, on_start=start, on_frame=on_frame)
             if job.scene == _BOARD:
-                _calibrate(folder, on_progress)
+                _calibrate(job.folder.video, root / RIG, on_start, on_frame)
         reconstruction = Request(
-            source=str(SimulationFolder(root=folder.garment).video),
-            rig=read_rig(folder.rig),
+            source=str(job.folder.video),
+            rig=read_rig(root / RIG),
             options=ReconstructOptions(distance_m=CAMERA_DISTANCE_M),
-            folder=ReconstructionFolder(root=folder.reconstruction),
+            folder=ReconstructionFolder(root=root / RECONSTRUCTION),
         )
-        count = _Counter("reconstruct", on_progress)
-        return reconstruct(
-            reconstruction, jobs=jobs, overwrite=overwrite, on_start=count.start, on_frame=count.advance
-        )
+        start = partial(on_start, "reconstruct")
+        return reconstruct(reconstruction, jobs=jobs, overwrite=overwrite, on_start=start, on_frame=on_frame)
 
 
 def _film(
@@ -106,7 +79,9 @@ def _film(
     )
 
 
-def _calibrate(folder: DemoFolder, on_progress: Stage) -> None:
+def _calibrate(
+    video: Path, out: Path, on_start: Callable[[str, int, int], None], on_frame: Callable[[object], None]
+) -> None:
     facts = build_scene(_BOARD, SceneOptions(field_width_m=_FIELD_WIDTH_M)).facts  # a user measures the print
     layout = BoardLayout(
         columns=int(facts["columns"]),
@@ -114,27 +89,12 @@ def _calibrate(folder: DemoFolder, on_progress: Stage) -> None:
         square_mm=facts["square_mm"],
         hole_squares=int(facts["hole_squares"]),
     )
-    job = CalibrationJob(source=str(SimulationFolder(root=folder.board).video))
-    rig, _ = calibrate_board(
-        job,
-        layout,
-        BoardOptions(degree=_DEGREE),
-        lambda done, total: on_progress("calibrate", done, total),
-    )
-    write_rig(folder.rig, rig)
 
+    def seen(done: int, total: int) -> None:
+        if done == 1:
+            on_start("calibrate", total, 0)
+        on_frame(done)
 
-class _Counter:
-    """Turns what the stages tell into (name, done, total)."""
-
-    def __init__(self, stage: str, on_progress: Stage) -> None:
-        self._stage, self._report = stage, on_progress
-        self._done = self._total = 0
-
-    def start(self, total: int, done: int) -> None:
-        self._total, self._done = total, done
-        self._report(self._stage, done, total)
-
-    def advance(self, _finished: object) -> None:
-        self._done += 1
-        self._report(self._stage, self._done, self._total)
+    job = CalibrationJob(source=str(video))
+    rig, _ = calibrate_board(job, layout, BoardOptions(degree=_DEGREE), seen)
+    write_rig(out, rig)

@@ -20,29 +20,15 @@ from vntoolkit.geometry.skinned_clip import SkinnedClip, blend_shapes
 from vntoolkit.io.atomic import require_writable_folder
 from vntoolkit.io.footage.frame_range import sampled
 from vntoolkit.io.maps_and_meshes.glb import write_glb, write_glb_skin
-from vntoolkit.io.maps_and_meshes.meshes import read_mesh, write_material, write_mesh
+from vntoolkit.io.maps_and_meshes.meshes import write_material, write_mesh
 from vntoolkit.io.maps_and_meshes.texture import SurfaceTexture
 from vntoolkit.io.maps_and_meshes.usd import write_usd_sequence, write_usd_skin
 from vntoolkit.io.motion.asf import read_asf_amc
 from vntoolkit.io.motion.bvh import read_bvh
 from vntoolkit.io.results.sequences import read_mesh_sequence
-from vntoolkit.options.dressing import (
-    Blend,
-    Carrier,
-    DressOptions,
-    Garment,
-    MotionUpAxis,
-)
-from vntoolkit.pipeline.outputs import ReconstructionFolder
-from vntoolkit.pipeline.texture_files import colours_from_texture, read_texture, texture_of_tracks
-from vntoolkit.pipeline.tracked_folder import (
-    Tracks,
-    colours_at,
-    read_track_record,
-    read_tracks,
-    recorded_camera,
-    uv_in_picture,
-)
+from vntoolkit.options.dressing import Blend, Carrier, DressOptions, Garment, MotionUpAxis
+from vntoolkit.pipeline.texture_files import read_texture, texture_of_tracks, with_captured_colours
+from vntoolkit.pipeline.tracked_folder import read_track_record, read_tracks, recorded_camera
 from vntoolkit.shipped import shipped_files
 from vntoolkit.skinning import clock as clocks
 from vntoolkit.skinning.alignment import CapturedMotion, parts_of
@@ -500,7 +486,12 @@ def read_tracked_cloth(folder: Path | str) -> MeshSequence:
     track = _track_folder(Path(folder))
     if not (track / "track.json").exists():
         return read_mesh_sequence(track)
-    return _as_captured(read_tracks(track))
+    tracks = read_tracks(track)
+    if tracks.template_vertices is None:
+        return tracks.sequence
+    if "camera" in tracks.record:
+        tracks = tracks.with_uv(tracks.camera.without_distortion())
+    return replace(tracks.sequence, template=with_captured_colours(tracks, read_texture(track)))
 
 
 def _track_folder(folder: Path) -> Path:
@@ -510,22 +501,3 @@ def _track_folder(folder: Path) -> Path:
     if not inside.is_dir() and not (folder / "sequence.json").exists():
         raise BadInput(f"{folder}: holds no registered mesh: run `vntoolkit track {folder}` first")
     return inside if inside.is_dir() else folder
-
-
-def _as_captured(tracks: Tracks) -> MeshSequence:
-    """Give the template its picture's texture coordinates and colours, else its frame's own mesh's."""
-    cloth, vertices = tracks.sequence, tracks.template_vertices
-    template = cloth.template
-    if vertices is None:
-        return cloth
-    if "camera" in tracks.record:
-        template = replace(template, uv=uv_in_picture(tracks.camera.without_distortion(), vertices))
-    albedo = colours_from_texture(read_texture(tracks.folder), template)
-    own = ReconstructionFolder(root=tracks.folder.parent).file("mesh", tracks.template)
-    if albedo is not None:
-        template = replace(template, colours=albedo)
-    elif template.colours is None and own.exists():
-        mesh = read_mesh(own)
-        if mesh.colours is not None:
-            template = replace(template, colours=colours_at(vertices, mesh))
-    return replace(cloth, template=template)

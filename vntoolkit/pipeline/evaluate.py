@@ -35,6 +35,7 @@ from vntoolkit.io.maps_and_meshes.meshes import read_mesh
 from vntoolkit.io.rigs import read_rig
 from vntoolkit.options.depth import IntegrationOptions, Integrator
 from vntoolkit.options.export import NormalConvention
+from vntoolkit.pipeline.integrate_normals import read_camera_matrix
 from vntoolkit.pipeline.opened_result import OpenedResult
 from vntoolkit.pipeline.simulate import SimulationFolder
 from vntoolkit.pipeline.tracked_folder import read_tracks
@@ -46,13 +47,7 @@ TEAR_STEEPNESS = 1.0
 _OBJECT_FILES = ("normal_map.png", "mask.png", "K.txt", "depth_gt.npz")
 
 
-@dataclass(frozen=True, kw_only=True)
-class NormalPair:
-    """Two files of one frame, and its name."""
-
-    name: str
-    measured: Path
-    reference: Path
+NormalPair = tuple[str, Path, Path]  # name of a frame, its measured map, its reference
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -76,7 +71,7 @@ def pairs_of(measured: Path, reference: Path) -> list[NormalPair]:
     nothing pairs up.
     """
     if not measured.is_dir() and not reference.is_dir():
-        return [NormalPair(name=measured.stem, measured=measured, reference=reference)]
+        return [(measured.stem, measured, reference)]
     if not (measured.is_dir() and reference.is_dir()):
         raise BadInput(f"{measured}, {reference}: give two files or two folders, not one of each")
     ours, theirs = _maps_in(measured), _maps_in(reference)
@@ -86,7 +81,7 @@ def pairs_of(measured: Path, reference: Path) -> list[NormalPair]:
             f"{measured} holds {len(ours)} normal maps and {reference} {len(theirs)}, none of one name: "
             "files are paired by their names without suffix"
         )
-    return [NormalPair(name=name, measured=ours[name], reference=theirs[name]) for name in names]
+    return [(name, ours[name], theirs[name]) for name in names]
 
 
 def compare_normal_files(
@@ -122,16 +117,15 @@ def compare_normal_files(
 def _angle_maps(
     pairs: list[NormalPair], conventions: tuple[NormalConvention | None, NormalConvention | None]
 ) -> Iterator[tuple[str, FloatArray, Mask]]:
-    for pair in pairs:
-        measured = read_normal_map(pair.measured, convention=conventions[0])
-        reference = read_normal_map(pair.reference, convention=conventions[1])
-        warn_of_flipped_axes(pair.measured, measured)
-        warn_of_flipped_axes(pair.reference, reference)
+    for name, *paths in pairs:
+        maps = [read_normal_map(path, convention=c) for path, c in zip(paths, conventions, strict=True)]
+        for path, normal_map in zip(paths, maps, strict=True):
+            warn_of_flipped_axes(path, normal_map)
         try:
-            angles, both = angular_error.angular_error_map(measured, reference)
+            angles, both = angular_error.angular_error_map(*maps)
         except BadInput as problem:
-            raise BadInput(f"{pair.measured}, {pair.reference}: {problem}") from problem
-        yield pair.name, angles, both
+            raise BadInput(f"{paths[0]}, {paths[1]}: {problem}") from problem
+        yield name, angles, both
 
 
 def _maps_in(folder: Path) -> dict[str, Path]:
@@ -299,20 +293,14 @@ def _deviation(
     )
 
 
-@dataclass(frozen=True, kw_only=True)
-class TrackTruth:
-    """vertices: (frames, n, 3) in the camera frame, mapped from disk; faces: (m, 3); camera: that filmed."""
-
-    vertices: Points
-    faces: Faces
-    camera: Camera
-
-
 # Tracks against the simulator's vertices, frame by frame.
 
 
-def read_track_truth(folder: Path) -> TrackTruth:
-    """Open DIR/truth (or DIR) as `vntoolkit simulate` writes it. Raises `BadInput`."""
+def read_track_truth(folder: Path) -> tuple[Points, Faces, Camera]:
+    """Open DIR/truth (or DIR) as `vntoolkit simulate` writes it. Raises `BadInput`.
+
+    Return the vertices (frames, n, 3) in the camera frame, mapped from disk, the faces and the camera.
+    """
     truth = folder / "truth" if (folder / "truth").is_dir() else folder
     if not (truth / "vertices.npy").exists():
         raise BadInput(f"{folder}: holds no truth; give the folder that `vntoolkit simulate` wrote")
@@ -320,7 +308,7 @@ def read_track_truth(folder: Path) -> TrackTruth:
     faces = read_mesh(truth / "template.ply").faces
     if vertices.ndim != 3 or vertices.shape[2] != 3 or int(faces.max(initial=0)) >= vertices.shape[1]:
         raise BadInput(f"{truth / 'vertices.npy'}: expected (frames, vertices, 3) of the mesh template.ply")
-    return TrackTruth(vertices=vertices, faces=faces, camera=read_rig(truth / "rig.json").camera)
+    return vertices, faces, read_rig(truth / "rig.json").camera
 
 
 def evaluate_tracks(
@@ -330,26 +318,24 @@ def evaluate_tracks(
 
     lost_px: expected error above which a vertex counts as lost; None for the one that `track` used.
     """
-    truth, tracks = read_track_truth(truth_folder), read_tracks(track_folder)
+    (truth, faces, camera), tracks = read_track_truth(truth_folder), read_tracks(track_folder)
     sequence, numbers = tracks.sequence, tracks.numbers
-    if not numbers or max(numbers) >= len(truth.vertices):
+    if not numbers or max(numbers) >= len(truth):
         raise BadInput(
-            f"{track_folder}: its frames reach {max(numbers, default=0)}, the truth has {len(truth.vertices)}"
+            f"{track_folder}: its frames reach {max(numbers, default=0)}, the truth has {len(truth)}"
         )
     if tracks.template_vertices is None:
         raise BadInput(f"{track_folder}: the template frame {tracks.template} is not tracked yet")
     lost_px = tracks.lost_px if lost_px is None else lost_px
     believed = tracks.camera
     template = believed.project(tracks.template_vertices)
-    anchors = track_error.anchors_on_mesh(
-        template, np.array(truth.vertices[tracks.template]), truth.faces, truth.camera
-    )
+    anchors = track_error.anchors_on_mesh(template, np.array(truth[tracks.template]), faces, camera)
     rows = sorted({*range(0, len(numbers), every), len(numbers) - 1})
     return list(
         track_error.track_errors(
             (_pixels(sequence, row, numbers[row], believed) for row in rows),
-            ((numbers[row], np.array(truth.vertices[numbers[row]])) for row in rows),
-            anchors, truth.faces, truth.camera, lost_px,
+            ((numbers[row], np.array(truth[numbers[row]])) for row in rows),
+            anchors, faces, camera, lost_px,
         )
     )  # fmt: skip
 
@@ -401,7 +387,7 @@ class SurfaceCase:
         found = DepthIntegrator(camera, IntegrationOptions(integrator=self.integrator)).integrate(
             self.normal_map
         )
-        difference = np.where(found.mask, found.depth.astype(np.float64) - self.depth, 0.0)
+        difference = found.depth.astype(np.float64) - self.depth
         range_percent = float(np.ptp(self.depth[found.mask])) / 100.0
         centred = np.abs(difference - np.median(difference[found.mask])) / range_percent
         return SurfaceError(
@@ -433,15 +419,10 @@ def surface_cases(size: int) -> list[SurfaceCase]:
         raise BadInput(f"evaluate integration: expected surfaces of at least 16 pixels, got {size}")
     hills, torn = peaks(size), tear(size, TEAR_STEEPNESS)
     full: Mask = np.ones((size, size), dtype=np.bool_)
+    masked = (Integrator.POISSON, Integrator.DISCONTINUITY)
     plans = [
         (f"hills {size}", False, hills, full, tuple(Integrator)),
-        (
-            f"hills on a disc with a hole {size}",
-            False,
-            hills,
-            disc_with_hole(size),
-            (Integrator.POISSON, Integrator.DISCONTINUITY),
-        ),
+        (f"hills on a disc with a hole {size}", False, hills, disc_with_hole(size), masked),
         (f"torn {size}", True, torn, full, tuple(Integrator)),
     ]
     return [
@@ -487,21 +468,11 @@ def read_object(folder: Path) -> tuple[Camera, NormalMap, FloatArray]:
     normal_map = read_normal_map(folder / "normal_map.png", mask=mask)
     warn_of_flipped_axes(folder / "normal_map.png", normal_map)
     height, width = mask.shape
-    matrix = _read_matrix(folder / "K.txt")
+    matrix = read_camera_matrix(folder / "K.txt")
     camera = Camera(model=CameraModel.PINHOLE, width=width, height=height, matrix=matrix)
     truth = read_npz(folder / "depth_gt.npz", "depth_gt").astype(np.float64)
     require_same_size(truth, f"{folder / 'depth_gt.npz'}", mask, "the mask")
     return camera, normal_map, truth
-
-
-def _read_matrix(path: Path) -> FloatArray:
-    words = read_text(path).split()
-    try:
-        return np.array([float(word) for word in words]).reshape(3, 3)
-    except ValueError as error:
-        raise BadInput(
-            f"{path}: expected the 9 numbers of a 3 × 3 camera matrix, got {len(words)} words"
-        ) from error
 
 
 def real_object_errors(folder: Path) -> list[ObjectError]:

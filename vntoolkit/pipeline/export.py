@@ -1,11 +1,13 @@
 """Export of results to other programs: one animated file, or one file per frame, written atomically."""
 
+from __future__ import annotations
+
 import logging
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -23,15 +25,13 @@ from vntoolkit.io.maps_and_meshes.maps import write_normal_map
 from vntoolkit.io.maps_and_meshes.meshes import write_material, write_mesh, write_point_cloud
 from vntoolkit.io.maps_and_meshes.texture import SurfaceTexture
 from vntoolkit.io.results.folder import FolderKind, begin_run, read_lock, write_lock
-from vntoolkit.options.export import (
-    ExportedSurface,
-    ExportFormat,
-    ExportOptions,
-    FileUnit,
-)
-from vntoolkit.pipeline.opened_result import OpenedResult, TrackedSurface, open_result
+from vntoolkit.options.export import ExportedSurface, ExportFormat, ExportOptions, FileUnit
+from vntoolkit.pipeline.opened_result import OpenedResult, open_result
 from vntoolkit.pipeline.options import option_values
-from vntoolkit.pipeline.texture_files import colours_from_texture, texture_of_tracks
+from vntoolkit.pipeline.texture_files import texture_of_tracks, with_captured_colours
+
+if TYPE_CHECKING:
+    from vntoolkit.pipeline.tracked_folder import Tracks
 
 _MATERIAL = "surface.mtl"  # of all frames in a folder of OBJ files
 Advance = Callable[[], None]
@@ -84,20 +84,14 @@ def export(
     it stopped, and writes again what has changed since. Raises `BadInput`.
     """
     with read_lock(job.folder):
-        return _export(job, overwrite, on_start, on_frame)
+        result = open_result(job.folder, frames=job.frames, footage=job.footage, background=job.background)
+        track = _track_of(result, job.options)
+        if job.options.to is ExportFormat.USD or (job.options.to is ExportFormat.GLB and track is not None):
+            return _export_animation(job, result, track, on_start, on_frame)
+        return _export_folder(job, result, track, overwrite, on_start, on_frame)
 
 
-def _export(
-    job: ExportJob, overwrite: bool, on_start: Callable[[int, int], None], on_frame: Advance
-) -> ExportSummary:
-    result = open_result(job.folder, frames=job.frames, footage=job.footage, background=job.background)
-    track = _track_of(result, job.options)
-    if job.options.to is ExportFormat.USD or (job.options.to is ExportFormat.GLB and track is not None):
-        return _export_animation(job, result, track, on_start, on_frame)
-    return _export_folder(job, result, track, overwrite, on_start, on_frame)
-
-
-def _track_of(result: OpenedResult, options: ExportOptions) -> TrackedSurface | None:
+def _track_of(result: OpenedResult, options: ExportOptions) -> Tracks | None:
     if options.mesh is ExportedSurface.FRAMES:
         return None
     if options.cleaning is not None and result.track is not None:
@@ -110,7 +104,7 @@ def _track_of(result: OpenedResult, options: ExportOptions) -> TrackedSurface | 
 def _export_animation(
     job: ExportJob,
     result: OpenedResult,
-    track: TrackedSurface | None,
+    track: Tracks | None,
     on_start: Callable[[int, int], None],
     on_frame: Advance,
 ) -> ExportSummary:
@@ -146,7 +140,7 @@ def _export_animation(
     offset = offset_of(track, options, lengths.factor)
     moving = (passing(track.sequence.vertices[n] * lengths.factor + offset) for n in rows)
     texture = texture_of_tracks(result.folder.root / "track")
-    template = with_captured_colours(track, result, texture)
+    template = with_captured_colours(track, texture)
     camera = viewed_from(result.camera, offset)
     if options.to is ExportFormat.GLB:
         from vntoolkit.io.maps_and_meshes.glb import write_glb
@@ -171,29 +165,13 @@ def _export_animation(
     return ExportSummary(out=out, frames=count, kept=0, is_tracked=True, offset=offset)
 
 
-def offset_of(track: TrackedSurface, options: ExportOptions, factor: float) -> Vector3:
+def offset_of(track: Tracks, options: ExportOptions, factor: float) -> Vector3:
     """Return (3,): what puts the template's middle above the origin and its lowest point on the floor."""
     if not options.centre:
         return np.zeros(3)
     vertices = np.asarray(track.mesh(track.template).vertices, dtype=np.float64) * factor
     middle = vertices.mean(axis=0)
     return -np.array([middle[0], vertices[:, 1].max(), middle[2]])
-
-
-def with_captured_colours(
-    track: TrackedSurface, result: OpenedResult, texture: SurfaceTexture | None
-) -> Mesh:
-    """Return the template with the colours of its texture, else those that its own frame has there."""
-    template = track.sequence.template
-    albedo = colours_from_texture(texture, template)
-    if albedo is not None:
-        return replace(template, colours=albedo)
-    own = result.mesh(track.template)
-    if template.colours is not None or own is None or own.colours is None:
-        return template
-    from vntoolkit.pipeline.tracked_folder import colours_at
-
-    return replace(template, colours=colours_at(track.mesh(track.template).vertices, own))
 
 
 def viewed_from(camera: Camera, offset: Vector3) -> ViewedFrom | None:
@@ -213,7 +191,7 @@ def viewed_from(camera: Camera, offset: Vector3) -> ViewedFrom | None:
 def _export_folder(
     job: ExportJob,
     result: OpenedResult,
-    track: TrackedSurface | None,
+    track: Tracks | None,
     overwrite: bool,
     on_start: Callable[[int, int], None],
     on_frame: Advance,
@@ -287,7 +265,7 @@ def file_lengths(options: ExportOptions, unit: LengthUnit | None) -> FileLengths
 # The formats with one file or folder per frame: meshes, arrays, normal maps, DiLiGenT objects.
 
 
-def numbers_with_mesh(result: OpenedResult, track: TrackedSurface | None) -> tuple[int, ...]:
+def numbers_with_mesh(result: OpenedResult, track: Tracks | None) -> tuple[int, ...]:
     """Return the opened frames of the registered surface, or those with an own mesh; raise for none."""
     if track is not None:
         opened = set(result.numbers)
@@ -316,6 +294,7 @@ class FrameExport(ABC):
     """Writes one frame at a time; `suffix` of its files, empty for a folder a frame."""
 
     suffix = ""
+    has_lengths = True
     is_tracked: bool | None = None  # of meshes
     offset: Vector3 = np.zeros(3)
 
@@ -324,10 +303,9 @@ class FrameExport(ABC):
         """What else the record of the export says."""
         return {}
 
-    def __init__(self, result: OpenedResult, track: TrackedSurface | None, options: ExportOptions) -> None:
-        self.result = result
-        self.track = track
-        self.options = options
+    def __init__(self, result: OpenedResult, track: Tracks | None, options: ExportOptions) -> None:
+        self.result, self.track, self.options = result, track, options
+        self.factor = file_lengths(options, result.length_unit).factor if self.has_lengths else 1.0
 
     def numbers(self) -> tuple[int, ...]:
         """Return the frames that there are."""
@@ -364,17 +342,16 @@ class FrameExport(ABC):
 class _Meshes(FrameExport):
     """PLY, OBJ, or GLB a frame, of the registered surface or the frames' own."""
 
-    def __init__(self, result: OpenedResult, track: TrackedSurface | None, options: ExportOptions) -> None:
+    def __init__(self, result: OpenedResult, track: Tracks | None, options: ExportOptions) -> None:
         super().__init__(result, track, options)
         self.suffix = f".{options.to.value}"
-        self._factor = file_lengths(options, result.length_unit).factor
         self.is_tracked = track is not None
         self._texture: SurfaceTexture | None = None
         self._has_material = False
         if track is not None:
-            self.offset = offset_of(track, options, self._factor)
+            self.offset = offset_of(track, options, self.factor)
             self._texture = texture_of_tracks(result.folder.root / "track")
-            self._template = with_captured_colours(track, result, self._texture)
+            self._template = with_captured_colours(track, self._texture)
 
     @property
     def facts(self) -> Mapping[str, Any]:
@@ -393,9 +370,9 @@ class _Meshes(FrameExport):
 
     def write(self, out: Path, number: int) -> None:
         if self.track is None:
-            mesh = own_mesh(self.result, number, self.options, self._factor)
+            mesh = own_mesh(self.result, number, self.options, self.factor)
         else:
-            vertices = self.track.mesh(number).vertices * self._factor + self.offset
+            vertices = self.track.mesh(number).vertices * self.factor + self.offset
             normals = vertex_normals(vertices, self._template.faces)
             mesh = replace(self._template, vertices=vertices, normals=normals)
         path, material = self.place(out, number), None
@@ -425,10 +402,6 @@ class _PointClouds(FrameExport):
 
     suffix = ".ply"
 
-    def __init__(self, result: OpenedResult, track: TrackedSurface | None, options: ExportOptions) -> None:
-        super().__init__(result, track, options)
-        self._factor = file_lengths(options, result.length_unit).factor
-
     def numbers(self) -> tuple[int, ...]:
         found = tuple(n for n in self.result.numbers if self.result.folder.has(n, "depth"))
         if not found:
@@ -450,7 +423,7 @@ class _PointClouds(FrameExport):
             rgb = None
         normal_map = self.result.normals(number)
         cloud = point_cloud_from_depth(depth_map, self.result.camera, rgb=rgb, normal_map=normal_map)
-        cloud = replace(cloud, points=cloud.points * self._factor)
+        cloud = replace(cloud, points=cloud.points * self.factor)
         write_point_cloud(self.place(out, number), cloud, up=self.options.up)
 
 
@@ -458,6 +431,7 @@ class _NormalMaps(FrameExport):
     """16-bit PNG."""
 
     suffix = ".png"
+    has_lengths = False
 
     def write(self, out: Path, number: int) -> None:
         normal_map, path = self.result.normals(number), self.place(out, number)
@@ -468,10 +442,6 @@ class _Arrays(FrameExport):
     """Everything of a frame as named arrays."""
 
     suffix = ".npz"
-
-    def __init__(self, result: OpenedResult, track: TrackedSurface | None, options: ExportOptions) -> None:
-        super().__init__(result, track, options)
-        self.factor = file_lengths(options, result.length_unit).factor
 
     def sources(self, number: int) -> list[Path]:
         return [self.result.folder.file(kind, number) for kind in ("normals", "depth", "shadows", "mesh")]
@@ -488,7 +458,9 @@ class _Arrays(FrameExport):
 class _Diligent(FrameExport):
     """One picture per light: its contribution to the frame, as if it had shone alone."""
 
-    def __init__(self, result: OpenedResult, track: TrackedSurface | None, options: ExportOptions) -> None:
+    has_lengths = False
+
+    def __init__(self, result: OpenedResult, track: Tracks | None, options: ExportOptions) -> None:
         super().__init__(result, track, options)
         if result.lacks_background:
             raise BadInput("diligent: the result was made with a background; give it as --background")
@@ -520,7 +492,7 @@ class _Diligent(FrameExport):
         )
 
 
-def frame_export(result: OpenedResult, track: TrackedSurface | None, options: ExportOptions) -> FrameExport:
+def frame_export(result: OpenedResult, track: Tracks | None, options: ExportOptions) -> FrameExport:
     """Return what writes the frames of a format."""
     kinds: dict[ExportFormat, type[FrameExport]] = {
         ExportFormat.POINTS: _PointClouds,
@@ -573,7 +545,7 @@ def arrays_of_frame(
 
 
 def write_tracked_npz(
-    path: Path, track: TrackedSurface, numbers: tuple[int, ...], options: ExportOptions, factor: float
+    path: Path, track: Tracks, numbers: tuple[int, ...], options: ExportOptions, factor: float
 ) -> None:
     """Write the registered surface: vertices (frames, n, 3), faces, uv, uncertainty_px, frames, times_s,
     frame_rate_hz."""

@@ -7,7 +7,7 @@ with a rig that was calibrated lamp by lamp.
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -27,17 +27,6 @@ _NOTHING_DEG = 30.0  # lamps stand not much farther apart
 _LEAST_LIGHT = -0.05  # of the strongest channel of a lamp: light is not negative
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class FoundLamps:
-    """What shadows tell of lamps. rig: with their colours, where all three are told, else as given.
-
-    in_words: what is not told, as part of a warning.
-    """
-
-    rig: Rig
-    in_words: str = ""
-
-
 def looks_for_lamps(rig: Rig, options: ReconstructOptions) -> bool:
     """Whether the lamps' colours are not known, and shadows are looked for that could tell them."""
     unknown = rig.response.light_colours is None and rig.gel is None
@@ -45,8 +34,13 @@ def looks_for_lamps(rig: Rig, options: ReconstructOptions) -> bool:
     return unknown and options.shadows is ShadowMethod.ROBUST and not is_plain
 
 
-def find_lamps(rig: Rig, options: ReconstructOptions, footage: Footage, numbers: Sequence[int]) -> FoundLamps:
+def find_lamps(
+    rig: Rig, options: ReconstructOptions, footage: Footage, numbers: Sequence[int]
+) -> tuple[Rig, str]:
     """Look for the lamps in the shadows of some frames.
+
+    Return the rig, with the lamps' colours where all three are told, and what is not told, as part of a
+    warning.
 
     With M alone every channel counts as a lamp, so that many shadows are missed and dark paint is taken for
     some. So they are looked for again with the colours told so far, in frames between the first ones. Lamps
@@ -69,12 +63,12 @@ def find_lamps(rig: Rig, options: ReconstructOptions, footage: Footage, numbers:
             if colours is None or (colours < _LEAST_LIGHT * colours.max(axis=1, keepdims=True)).any():
                 break
             response = replace(found.response, light_doubts_deg=np.round(doubts_deg, 2))
-            return FoundLamps(rig=replace(found, response=response))
+            return replace(found, response=response), ""
         if found is not None and helps.any():
             guessed, unlit = found, _nothing()
         elif step == 1:  # the same frames would tell the same
             break
-    return FoundLamps(rig=rig, in_words=in_words)
+    return rig, in_words
 
 
 def lamps_in_words(doubts_deg: Sequence[float]) -> str:

@@ -9,16 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from vntoolkit.arrays import (
-    BoolArray,
-    Box,
-    Colours,
-    FloatArray,
-    LinearImage,
-    Mask,
-    MaterialLabels,
-    box_of,
-)
+from vntoolkit.arrays import BoolArray, Box, Colours, FloatArray, LinearImage, Mask, MaterialLabels, box_of
 from vntoolkit.checks import require_shape
 from vntoolkit.errors import BadInput, NoSubject
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap

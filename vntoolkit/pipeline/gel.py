@@ -64,7 +64,7 @@ class Gel:
         self.rig, self._allow = rig, tuple(allow)
         self._background = self._linear(self._encoded(background, "background"))
         self._checked = False
-        judge(findings_from_background(rig, self._background), self._allow)
+        judge(check_background(rig, _colours(rig, self._background)), self._allow)
         options = ReconstructOptions(to=Product.DEPTH)
         self._processor = FrameProcessor(rig, options, background=self._background.rgb)
 
@@ -125,11 +125,6 @@ def require_exposed(frame: LinearFrame, name: str) -> None:
         raise BadCapture(f"{name} is clipped at {share:.0%} of its pixels: lower the exposure and film again")
 
 
-def findings_from_background(rig: Rig, background: LinearFrame) -> list[Finding]:
-    """Check the untouched gel, as filmed, against the rig."""
-    return check_background(rig, _colours(rig, background))
-
-
 def findings_from_footage(rig: Rig, capture: Capture, numbers: Sequence[int]) -> list[Finding]:
     """Check the untouched gel, and a few frames of a capture that was opened with it, against the rig."""
     if capture.background is None or (capture.info.width, capture.info.height) != rig.footage_size:
@@ -141,7 +136,7 @@ def findings_from_footage(rig: Rig, capture: Capture, numbers: Sequence[int]) ->
     encoded = [capture.encoded(number) for number in sampled(present, _FRAMES_COMPARED)]
     frames = [linear_frame_from_encoded(frame, capture.transfer) for frame in encoded]
     results = [processor.process(frame) for frame in encoded]
-    found = findings_from_background(rig, background)
+    found = check_background(rig, _colours(rig, background))
     return found or findings_from_touches(rig, background, frames, results)
 
 

@@ -37,17 +37,6 @@ _MOST_UNEXPLAINED_OF_ANY = 0.4  # more, and nothing that was found can be truste
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class MeasuredMaterials:
-    """What the first frames tell of a subject's materials.
-
-    entries: empty where all is the rig's. seen: the first frame, labelled; None where all is the rig's.
-    """
-
-    entries: list[MaterialEntry]
-    seen: "LabelledFrame | None" = None
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
 class _FirstFrame:
     """One of the frames looked at, and with every lamp as strong as at the centre. subject: (h, w)."""
 
@@ -75,8 +64,9 @@ def first_frames(
 
 def measured_materials(
     rig: Rig, options: ReconstructOptions, footage: Footage, numbers: Sequence[int]
-) -> MeasuredMaterials:
-    """Measure the materials on the first frames.
+) -> tuple[list[MaterialEntry], "LabelledFrame | None"]:
+    """Measure the materials on the first frames; return them and the first, labelled, where not all is the
+    rig's.
 
     Logs a warning where the footage cannot tell. Raises `BadInput` where a number of materials is asked for
     that cannot be told.
@@ -94,8 +84,8 @@ def measured_materials(
         found, pigments = _with_pigments(found, seen)
         found = _explaining(found, pigments, seen, choice)
     if found:
-        return MeasuredMaterials(entries=_entries(in_doubt(found, searched), pigments), seen=seen)
-    return MeasuredMaterials(entries=[])
+        return list(map(_entry, in_doubt(found, searched), pigments)), seen
+    return [], None
 
 
 def _better_than_grey(found: list[Material], searched: SearchedFrames, count: int | None) -> list[Material]:
@@ -147,7 +137,7 @@ def refitted_materials(
     labeller = replace(labeller, reflectances=values)
     seen = replace(first, frame=far[0], mask=subjects[0], labeller=labeller)
     found, pigments = _with_pigments(found, seen)
-    return _entries(in_doubt(found, searched), pigments)
+    return list(map(_entry, in_doubt(found, searched), pigments))
 
 
 def _told(found: list[Material], choice: MaterialSearch | int) -> list[Material]:
@@ -258,10 +248,6 @@ def _explaining(
         "" if kept else "; the rig's material is taken",
     )  # fmt: skip
     return found if kept or choice is not MaterialSearch.AUTO else []
-
-
-def _entries(found: list[Material], pigments: list[Vector3 | None]) -> list[MaterialEntry]:
-    return [_entry(material, pigment) for material, pigment in zip(found, pigments, strict=True)]
 
 
 def _entry(material: Material, pigment: Vector3 | None) -> MaterialEntry:

@@ -2,7 +2,7 @@
 
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
@@ -13,7 +13,7 @@ from vntoolkit.arrays import ByteArray, VisibilityLabels
 from vntoolkit.errors import BadCapture, BadInput, VntError
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
-from vntoolkit.geometry.mesh import Mesh, MeshSequence
+from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.maps_and_meshes.label_images import read_labels, read_materials
 from vntoolkit.io.maps_and_meshes.maps import read_depth_map, read_normal_map
@@ -37,27 +37,10 @@ from vntoolkit.pipeline.outputs import ReconstructionFolder
 
 if TYPE_CHECKING:
     from vntoolkit.io.footage.captures import Capture
+    from vntoolkit.pipeline.tracked_folder import Tracks
 
 logger = logging.getLogger(__name__)
 Map = TypeVar("Map", NormalMap, DepthMap, ByteArray)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class TrackedSurface:
-    """The registered moving mesh of a result, its texture coordinates those of the template's picture.
-
-    numbers: of its frames. template: number of the template's. lost_px: expected error above which a vertex
-    is called lost.
-    """
-
-    sequence: MeshSequence
-    numbers: tuple[int, ...]
-    template: int
-    lost_px: float
-
-    def mesh(self, number: int) -> Mesh:
-        """Return the surface in one frame."""
-        return self.sequence[self.numbers.index(number)]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -163,9 +146,9 @@ class OpenedResult:
         return None if first is None else first.unit
 
     @cached_property
-    def track(self) -> TrackedSurface | None:
+    def track(self) -> "Tracks | None":
         """The registered moving mesh; None without one, or where it follows another reconstruction."""
-        from vntoolkit.pipeline.tracked_folder import read_tracks, uv_in_picture
+        from vntoolkit.pipeline.tracked_folder import read_tracks
 
         root = self.folder.root / "track"
         if not (root / "track.json").exists():
@@ -178,14 +161,7 @@ class OpenedResult:
                 self.folder.root,
             )
             return None
-        vertices, sequence = tracks.template_vertices, tracks.sequence
-        if vertices is None:
-            return None
-        uv = uv_in_picture(self.camera, vertices)  # the template's own picture is its texture
-        textured = replace(sequence, template=replace(sequence.template, uv=uv))
-        return TrackedSurface(
-            sequence=textured, numbers=tracks.numbers, template=tracks.template, lost_px=tracks.lost_px
-        )
+        return None if tracks.template_vertices is None else tracks.with_uv(self.camera)
 
     def linear(self, number: int) -> LinearFrame:
         """Return the captured frame in linear light, background removed and undistorted."""

@@ -6,23 +6,17 @@ from enum import Enum
 from typing import Any
 
 from vntoolkit.errors import BadInput
-from vntoolkit.options.footage import Bayer, Demosaic, SensorOptions
+from vntoolkit.options.footage import SensorOptions
 
 SENSOR_PREFIX = "sensor."  # of the manifest's options that say how the footage's samples are read
 
 
 def sensor_from_values(values: Mapping[str, Any]) -> SensorOptions:
     """Return how the footage of a result was read, of its manifest's options; raise `BadInput`."""
-    given = {
-        field.name: values.get(SENSOR_PREFIX + field.name) for field in dataclasses.fields(SensorOptions)
-    }
+    own = {name: value for name, value in values.items() if name.startswith(SENSOR_PREFIX)}
     try:
-        return SensorOptions(
-            bayer=None if given["bayer"] is None else Bayer(given["bayer"]),
-            demosaic=Demosaic(given["demosaic"] or Demosaic.BILINEAR),
-            bits=given["bits"],
-        )
-    except ValueError as problem:
+        return SensorOptions(**{name.removeprefix(SENSOR_PREFIX): value for name, value in own.items()})
+    except (BadInput, TypeError) as problem:
         raise BadInput(f"reconstruction.json: {problem}") from problem
 
 

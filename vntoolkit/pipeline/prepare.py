@@ -57,8 +57,7 @@ def prepare(request: Request, footage: Footage, numbers: Sequence[int]) -> Known
     if seeks:
         from vntoolkit.pipeline.measured_materials import measured_materials
 
-        measured = measured_materials(rig, options, footage, numbers)
-        materials, seen = measured.entries, measured.seen
+        materials, seen = measured_materials(rig, options, footage, numbers)
     if materials:
         told = None if seen is None else seen.state.statistics
         examined = _examined(request, rig, footage, numbers, materials, told)
@@ -129,8 +128,7 @@ def _with_found_lamps(request: Request, footage: Footage, numbers: Sequence[int]
     options = request.effective_options
     if not looks_for_lamps(request.rig, options):
         return request.rig, ""
-    lamps = find_lamps(request.rig, options, footage, numbers)
-    return lamps.rig, lamps.in_words
+    return find_lamps(request.rig, options, footage, numbers)
 
 
 def _examined(

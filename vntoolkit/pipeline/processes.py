@@ -1,11 +1,9 @@
 """Work in processes of this machine: the results do not depend on how many there are."""
 
-import contextlib
-import itertools
 import multiprocessing
 import os
 import signal
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from typing import Any, TypeVar
@@ -17,11 +15,9 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 Work = Callable[[Item], Iterable[Result]]
 _AHEAD = 2  # items submitted for each process: one at work, one ready
-_kept: dict[int, ProcessPoolExecutor] | None = None  # pools by their size, while they are kept
-_numbers = itertools.count()  # of the calls of `map_in_processes`
-# Of this process, where it is a worker: how many threads it may use, the work begun last and its number.
+# Of this process, where it is a worker: how many threads it may use, and the work that it began.
 _threads = 1
-_begun: tuple[int, Work[Any, Any]] | None = None
+_begun: Work[Any, Any] | None = None
 
 
 def map_in_processes(
@@ -39,44 +35,18 @@ def map_in_processes(
             work = work or begin(None)
             yield from work(item)
         return
-    pool = _kept.pop(jobs, None) if _kept else None
-    pool = pool or _pool_of(jobs)
-    finished = False
+    threads = max(1, (os.cpu_count() or 1) // jobs)
+    context = multiprocessing.get_context("spawn")  # a fork would copy threads that hold locks
+    pool = ProcessPoolExecutor(jobs, context, initializer=_start_worker, initargs=(threads,))
     try:
         yield from _collect(pool, begin, items, _AHEAD * jobs)
-        finished = True
     except BrokenProcessPool as error:
         raise VntError(
             "a worker process ended abruptly (out of memory?); what is finished is on disk: run the same "
             "command again, with fewer --jobs, to go on"
         ) from error
     finally:
-        if finished and _kept is not None:
-            _kept[jobs] = pool
-        else:
-            pool.shutdown(wait=True, cancel_futures=True)
-
-
-@contextlib.contextmanager
-def processes_kept() -> Iterator[None]:
-    """Let the calls of `map_in_processes` in the block use the same processes.
-
-    A process takes two seconds to import what it needs and to load the compiled loops.
-    """
-    global _kept
-    before, _kept = _kept, {}
-    try:
-        yield
-    finally:
-        pools, _kept = _kept, before
-        for pool in pools.values():
-            pool.shutdown(wait=True, cancel_futures=True)
-
-
-def _pool_of(workers: int) -> ProcessPoolExecutor:
-    threads = max(1, (os.cpu_count() or 1) // workers)
-    context = multiprocessing.get_context("spawn")  # a fork would copy threads that hold locks
-    return ProcessPoolExecutor(workers, context, initializer=_start_worker, initargs=(threads,))
+        pool.shutdown(wait=True, cancel_futures=True)
 
 
 def _collect(
@@ -86,12 +56,11 @@ def _collect(
     ahead: int,
 ) -> Generator[Any]:
     """Keep `ahead` items submitted and hand on their results as they finish."""
-    number = next(_numbers)
     waiting = iter(items)
     running: set[Future[list[Any]]] = set()
     while True:
         while len(running) < ahead and (item := next(waiting, None)) is not None:
-            running.add(pool.submit(_work_on, number, begin, item))
+            running.add(pool.submit(_work_on, begin, item))
         if not running:
             return
         finished, running = wait(running, return_when=FIRST_COMPLETED)
@@ -108,9 +77,7 @@ def _start_worker(threads: int) -> None:
     _threads = threads
 
 
-def _work_on(number: int, begin: Callable[[int | None], Work[Any, Any]], item: Any) -> list[Any]:
+def _work_on(begin: Callable[[int | None], Work[Any, Any]], item: Any) -> list[Any]:
     global _begun  # noqa: PLW0603 - a worker process has exactly one
-    if _begun is None or _begun[0] != number:
-        _begun = None  # its memory is free before the next takes some
-        _begun = number, begin(_threads)
-    return list(_begun[1](item))
+    _begun = _begun or begin(_threads)
+    return list(_begun(item))

@@ -15,7 +15,6 @@ from vntoolkit.diagnosis.empty_frames import finding_from_empty_frames
 from vntoolkit.diagnosis.finding import judge
 from vntoolkit.errors import BadCapture, BadInput
 from vntoolkit.io.atomic import remove_leftovers, require_apart, write_text
-from vntoolkit.io.footage.captures import CaptureInfo
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.footage.mattes import require_mattes
 from vntoolkit.io.footage.sequence import text_of_names
@@ -47,8 +46,8 @@ _WORST = 90.0  # percentile over the frames: the median would hide a third that 
 class ReconstructionSummary:
     """What a run did: frames asked for, found on disk already, newly done, and skipped with their reasons.
 
-    lost: frames asked for that the video declares but does not hold. declared, came: frames that it
-    declares, and that can be read. error_deg: expected error of the normals, the median over the
+    lost: frames asked for that the video declares but does not hold. loss: that in one line; empty where
+    nothing is lost. error_deg: expected error of the normals, the median over the
     pixels of a frame, and of the frames the least of the worst tenth; None where not known. found_lamps:
     whether the lamps' colours, which the rig does not hold, were found in the subject's shadows.
     """
@@ -60,20 +59,9 @@ class ReconstructionSummary:
     skipped: tuple[FrameEntry, ...]
     seconds: float
     lost: int = 0
-    declared: int = 0
-    came: int = 0
+    loss: str = ""
     error_deg: float | None = None
     found_lamps: bool = False
-
-    @property
-    def loss(self) -> str:
-        """What a video that is cut off lost, in one line; empty where nothing is lost."""
-        if not self.lost:
-            return ""
-        return (
-            f"the video is cut off: it declares {self.declared} frames, {self.came} came; what came is kept: "
-            f"copy the file again, or accept it with --frames 0:{self.came}"
-        )
 
 
 def reconstruct(
@@ -305,6 +293,12 @@ def _ended(
     if of_run and all(entry.shows_nothing for entry in of_run):
         raise BadCapture(of_run[0].failure)
     failed = [entry for entry in made if entry.failure]
+    declared, came = info.promised_frame_count, info.frame_count
+    lost = len(frames.numbers(declared)) - len(frames.numbers(came))
+    loss = (
+        f"the video is cut off: it declares {declared} frames, {came} came; what came is kept: copy the file "
+        f"again, or accept it with --frames 0:{came}"
+    )
     summary = ReconstructionSummary(
         folder=root,
         frames=len(run.numbers),
@@ -312,9 +306,8 @@ def _ended(
         done=len(made) - len(failed),
         skipped=tuple(sorted([*run.missing, *failed], key=lambda entry: entry.number)),
         seconds=seconds,
-        lost=len(frames.numbers(info.promised_frame_count)) - len(frames.numbers(info.frame_count)),
-        declared=info.promised_frame_count,
-        came=info.frame_count,
+        lost=lost,
+        loss=loss if lost else "",
         error_deg=error_deg,
         found_lamps=run.known.light_colours is not None,
     )
@@ -366,6 +359,7 @@ def write_contacts(root: Path, log: FrameLog) -> None:
 def manifest_of_request(request: Request, footage: Footage, frames: FrameRange) -> Manifest:
     """Return the manifest of a run that begins now, before anything is found; hashes all input files."""
     info, extra = footage.capture.info, {}
+    declared = info.promised_frame_count
     if request.mask is not None:
         extra["mask"] = manifests.entry_of_files(request.mask, footage.mattes.files)
     if request.background is not None:
@@ -379,7 +373,7 @@ def manifest_of_request(request: Request, footage: Footage, frames: FrameRange) 
             frame_count=info.frame_count,
             frame_rate_hz=info.frame_rate_hz,
             numbers=list(info.numbers),
-            declared_frame_count=_declared(info),
+            declared_frame_count=declared if declared > info.frame_count else None,
             times_s=list(info.times_s),
         ),
         extra_files=extra,
@@ -389,7 +383,3 @@ def manifest_of_request(request: Request, footage: Footage, frames: FrameRange) 
         versions=manifests.library_versions(),
         started=manifests.now_utc(),
     )
-
-
-def _declared(info: CaptureInfo) -> int | None:
-    return info.promised_frame_count if info.promised_frame_count > info.frame_count else None

@@ -19,7 +19,7 @@ from vntoolkit.native import keep_freed_memory, limit_threads
 from vntoolkit.options.footage import ReadingLimits
 from vntoolkit.options.tracking import TrackingOptions
 from vntoolkit.pipeline.checkerboard import write_checkerboard
-from vntoolkit.pipeline.cluster import connected
+from vntoolkit.pipeline.cluster import connected, result_of
 from vntoolkit.pipeline.reconstruct import ReconstructionSummary, reconstruct
 from vntoolkit.pipeline.request import Request
 from vntoolkit.pipeline.texture import write_texture
@@ -124,25 +124,12 @@ def _tracker(scheduler: str | None, workers: int) -> Iterator[tuple[str | None, 
 
         def submit(*asked: Any) -> Result:
             futures.append(client.submit(_track_alone, *asked, pure=False))
-            return lambda future=futures[-1]: _result_of(future)  # type: ignore[misc]
+            return lambda future=futures[-1]: result_of(future, "it")  # type: ignore[misc]
 
         try:
             yield client.scheduler.address, submit
         finally:
             client.cancel(futures, force=True)
-
-
-def _result_of(future: Any) -> TrackSummary:
-    import distributed
-
-    try:
-        found: TrackSummary = future.result()
-    except distributed.KilledWorker as error:
-        raise VntError(
-            "it ended several workers, one after the other (out of memory?); run the same command again to "
-            "go on"
-        ) from error
-    return found
 
 
 def _track_alone(job: TrackJob, limits: ReadingLimits, overwrite: bool) -> TrackSummary:

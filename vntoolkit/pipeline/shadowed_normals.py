@@ -1,7 +1,5 @@
 """Normals where the subject shadows itself: which lamps reach each pixel, then what the others tell."""
 
-from dataclasses import replace
-
 import numpy as np
 
 from vntoolkit.arrays import FloatArray, Mask, VisibilityLabels
@@ -14,7 +12,7 @@ from vntoolkit.photometry.response import LightResponse
 from vntoolkit.shadows.contributions import brighter_than
 from vntoolkit.shadows.detector import ShadowDetector
 from vntoolkit.shadows.lamp_directions import LampDirections, directions_from_shadows, unlit_by_lamp
-from vntoolkit.shadows.recovery import recover_surface
+from vntoolkit.shadows.recovery import recover_normals
 from vntoolkit.shadows.surface import Surface
 
 
@@ -40,10 +38,9 @@ class ShadowedNormals:
             return normals_from_frame(level, self._central, mask, options=self._inversion), labels, None
         lamps = directions_from_shadows(level, labels, self._response, mask)
         is_same = (self._central.light_colours is None) is (lamps.separated.light_colours is None)
-        if surface is not None and not (is_same and by_strength is level):
-            surface = replace(surface, image=None)
-        found = recover_surface(level, labels, lamps.separated, mask, self._camera, start=surface)
-        return found.normal_map, labels, lamps
+        start = surface if is_same and by_strength is level else None
+        found = recover_normals(level, labels, lamps.separated, mask, self._camera, start=start)
+        return found, labels, lamps
 
     def unlit_by_lamp(self, level: LinearFrame, by_strength: LinearFrame, mask: Mask) -> list[FloatArray]:
         """Return for each lamp (n, 3), what tells its direction: see `shadows/lamp_directions.py`."""

@@ -29,13 +29,7 @@ from vntoolkit.io.maps_and_meshes.arrays import map_npy
 from vntoolkit.io.maps_and_meshes.exr import ExrCompression
 from vntoolkit.io.maps_and_meshes.label_images import read_labels, write_labels, write_mask
 from vntoolkit.io.maps_and_meshes.maps import read_normal_map, write_depth_map, write_flow, write_normal_map
-from vntoolkit.io.results.folder import (
-    FolderKind,
-    begin_run,
-    numbers_on_disk,
-    remove_numbered,
-    write_lock,
-)
+from vntoolkit.io.results.folder import FolderKind, begin_run, numbers_on_disk, remove_numbered, write_lock
 from vntoolkit.io.results.seams import write_seams
 from vntoolkit.io.results.sequences import SEQUENCE_FILES, MeshSequenceWriter
 from vntoolkit.io.rigs import write_rig
@@ -116,7 +110,8 @@ def simulate(
         for place in map_in_processes(work, moments, min(jobs, max(1, len(missing)))):
             on_frame(place)
         _write_contact_sheet(job)
-        write_video(folder.video, _staged_frames(folder, count), job.built.frame_rate_hz / job.numbers.step)
+        filmed = (read_image(folder.staged(place)) for place in range(count))
+        write_video(folder.video, filmed, job.built.frame_rate_hz / job.numbers.step)
         remove_numbered(folder.staged(0).parent, ".png", range(count))
     return SimulationSummary(folder=folder.root, frames=count, rendered=len(missing))
 
@@ -130,30 +125,20 @@ class Moment:
     following: FloatArray | None
 
 
-class FrameWorker:
-    """Renders and writes frames of one capture by their place in it."""
-
-    def __init__(self, job: SimulationJob) -> None:
-        self._job = job
-        self._renderer = Renderer(job.built, job.nuisances, job.rendering)
-
-    def render(self, moment: Moment) -> Iterator[int]:
-        """Render and write one frame; yield its place."""
-        number = self._job.numbers[moment.place]
-        generator = frame_generator(self._job.options.seed, number)
-        frame = self._renderer.render(moment.vertices, moment.following, generator, number)
-        write_frame(self._job.folder, moment.place, frame)
-        yield moment.place
-
-
 def _begin(job: SimulationJob, threads: int | None) -> Callable[[Moment], Iterator[int]]:
+    """Return what renders and writes a frame, and yields its place."""
     if threads is not None:
         job = replace(job, rendering=replace(job.rendering, threads=threads))
-    return FrameWorker(job).render
+    renderer = Renderer(job.built, job.nuisances, job.rendering)
 
+    def render(moment: Moment) -> Iterator[int]:
+        number = job.numbers[moment.place]
+        generator = frame_generator(job.options.seed, number)
+        frame = renderer.render(moment.vertices, moment.following, generator, number)
+        write_frame(job.folder, moment.place, frame)
+        yield moment.place
 
-def _staged_frames(folder: SimulationFolder, count: int) -> Iterator[Array]:
-    return (read_image(folder.staged(place)) for place in range(count))
+    return render
 
 
 def _write_contact_sheet(job: SimulationJob) -> None:

@@ -75,11 +75,11 @@ def write_texture(
     colour, relief = _Mean(len(texels.faces), 3), _Mean(len(texels.faces), 3)
     for row in sorted(rows):
         number = numbers[row]
-        seen = texels_in_frame(result, sequence, row, number, texels, places)
-        relief.add(seen.in_tangents, seen.weight)
-        albedo = colours.at(number, seen.pixels)
+        pixels, weight, in_tangents = texels_in_frame(result, sequence, row, number, texels, places)
+        relief.add(in_tangents, weight)
+        albedo = colours.at(number, pixels)
         if albedo is not None:
-            colour.add(albedo[:, :3], seen.weight * albedo[:, 3])
+            colour.add(albedo[:, :3], weight * albedo[:, 3])
     return _write(target, texels, colour, relief, len(rows))
 
 
@@ -100,17 +100,10 @@ class Texels:
         return np.einsum("tk,tk...->t...", self.shares, corners)
 
 
-def texels_of(
-    pixels: Points2, faces: Faces, shape: tuple[int, int], depths: FloatArray | None = None
-) -> Texels:
-    """Return the texels whose centres triangles cover, the nearest of them.
-
-    pixels: (n, 2), centres are integers. depths: (n,), None for one that does not hide itself.
-    """
-    face = np.full(shape, -1, np.int32)
-    shares, nearest = np.zeros((*shape, 3)), np.full(shape, np.inf)
-    depths = np.zeros(len(pixels)) if depths is None else depths
-    _cover(np.ascontiguousarray(pixels), np.ascontiguousarray(depths), faces, face, shares, nearest)
+def texels_of(pixels: Points2, faces: Faces, shape: tuple[int, int]) -> Texels:
+    """Return the texels whose centres triangles cover. pixels: (n, 2), centres are integers."""
+    face, shares = np.full(shape, -1, np.int32), np.zeros((*shape, 3))
+    _cover(np.ascontiguousarray(pixels), faces, face, shares)
     places = np.flatnonzero(face >= 0)
     return Texels(
         places=places, faces=face.ravel()[places], shares=shares.reshape(-1, 3)[places], shape=shape
@@ -118,7 +111,7 @@ def texels_of(
 
 
 @njit(cache=True)
-def _cover(pixels, depths, faces, face, shares, nearest):  # type: ignore[no-untyped-def]
+def _cover(pixels, faces, face, shares):  # type: ignore[no-untyped-def]
     height, width = face.shape
     for f in range(len(faces)):
         ax, ay = pixels[faces[f, 0]]
@@ -135,25 +128,17 @@ def _cover(pixels, depths, faces, face, shares, nearest):  # type: ignore[no-unt
                 c = ((bx - ax) * (row - ay) - (column - ax) * (by - ay)) / area
                 if b < 0.0 or c < 0.0 or b + c > 1.0:
                     continue
-                depth = (1 - b - c) * depths[faces[f, 0]] + b * depths[faces[f, 1]] + c * depths[faces[f, 2]]
-                if depth <= nearest[row, column]:
-                    nearest[row, column], face[row, column] = depth, f
-                    shares[row, column, 0], shares[row, column, 1], shares[row, column, 2] = 1 - b - c, b, c
-
-
-@dataclass(frozen=True, eq=False)
-class SeenTexels:
-    """Texels in a frame. pixels: (t, 2). weight: (t,), 0 where hidden. in_tangents: (t, 3) unit normals."""
-
-    pixels: Points2
-    weight: FloatArray
-    in_tangents: Points
+                face[row, column] = f
+                shares[row, column, 0], shares[row, column, 1], shares[row, column, 2] = 1 - b - c, b, c
 
 
 def texels_in_frame(
     result: OpenedResult, sequence: MeshSequence, row: int, number: int, texels: Texels, places: Points2
-) -> SeenTexels:
-    """Find the texels in a frame with maps. places: (n, 2), of vertices in the texture."""
+) -> tuple[Points2, FloatArray, Points]:
+    """Find the texels in a frame with maps. places: (n, 2), of vertices in the texture.
+
+    Return their pixels (t, 2), weights (t,), 0 where hidden, and unit normals in tangent space (t, 3).
+    """
     normal_map, depth_map = result.normals(number), result.depth(number)
     assert depth_map is not None
     camera, faces = result.camera, sequence.template.faces
@@ -178,11 +163,7 @@ def texels_in_frame(
     faded = np.zeros(texels.shape, np.float32)
     faded.ravel()[texels.places] = is_seen
     faded = ndimage.uniform_filter(faded, _FEATHER).ravel()[texels.places]
-    return SeenTexels(
-        pixels=pixels,
-        weight=np.where(is_seen, faded * (cosine / off) ** 2, 0.0),
-        in_tangents=in_tangents,
-    )
+    return pixels, np.where(is_seen, faded * (cosine / off) ** 2, 0.0), in_tangents
 
 
 def _off_px(sequence: MeshSequence, row: int, texels: Texels, camera: Camera) -> FloatArray:
@@ -223,20 +204,16 @@ class _Colours:
     def __init__(self, result: OpenedResult) -> None:
         self._result = result
         self._reflectances = np.array([entry.reflectance for entry in result.manifest.known.materials])
-        self.is_there = result.rig.gel is None and self._has_background()
+        self.is_there = result.rig.gel is None and not result.lacks_background
+        if result.rig.gel is None and result.lacks_background:
+            _LOGGER.warning(
+                "texture: no colours, for the reconstruction subtracted a background; give it as --background"
+            )
         response = result.rig.response.central
         self._response = response
         strengths = np.linalg.norm(response.lights, axis=1)
         paints = self._reflectances if len(self._reflectances) else np.ones((1, 3))
         self._paints = (paints * strengths) @ np.linalg.inv(response.contributions_from_rgb).T
-
-    def _has_background(self) -> bool:
-        if not self._result.lacks_background:
-            return True
-        _LOGGER.warning(
-            "texture: no colours, for the reconstruction subtracted a background; give it as --background"
-        )
-        return False
 
     def at(self, number: int, pixels: Points2) -> FloatArray | None:
         """Return (t, 4): linear colour, and 1 where all lamps arrive, unclipped; None without footage."""

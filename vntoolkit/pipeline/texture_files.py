@@ -1,14 +1,21 @@
 """The texture of a registered surface, which `track` leaves and every later verb takes."""
 
 import logging
+from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from vntoolkit.arrays import Colours
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.io.footage.images import read_image
+from vntoolkit.io.maps_and_meshes.meshes import read_mesh
 from vntoolkit.io.maps_and_meshes.texture import SurfaceTexture
+from vntoolkit.pipeline.outputs import ReconstructionFolder
+
+if TYPE_CHECKING:
+    from vntoolkit.pipeline.tracked_folder import Tracks
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -32,6 +39,21 @@ def texture_of_tracks(track_folder: Path) -> SurfaceTexture | None:
             track_folder.parent,
         )
     return texture
+
+
+def with_captured_colours(tracks: "Tracks", texture: SurfaceTexture | None) -> Mesh:
+    """Return the template with the colours of its texture, else those that its own frame's mesh has there."""
+    template, vertices = tracks.sequence.template, tracks.template_vertices
+    albedo = colours_from_texture(texture, template)
+    if albedo is not None:
+        return replace(template, colours=albedo)
+    own = ReconstructionFolder(root=tracks.folder.parent).file("mesh", tracks.template)
+    if template.colours is not None or vertices is None or not own.exists():
+        return template
+    from vntoolkit.pipeline.tracked_folder import colours_at
+
+    mesh = read_mesh(own)
+    return template if mesh.colours is None else replace(template, colours=colours_at(vertices, mesh))
 
 
 def colours_from_texture(texture: SurfaceTexture | None, mesh: Mesh) -> Colours | None:

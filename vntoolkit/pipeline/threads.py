@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import queue
-import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -14,7 +12,6 @@ from vntoolkit.errors import VntError
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
-_END = object()
 
 
 def side_by_side(
@@ -53,37 +50,15 @@ def read_ahead(items: Iterable[Item], depth: int = 2) -> Iterator[Item]:
     if depth == 0:
         yield from items
         return
-    fetched: queue.Queue[object] = queue.Queue(maxsize=depth)
-    stopped = threading.Event()
-
-    def put(item: object) -> bool:
-        while not stopped.is_set():
-            try:
-                fetched.put(item, timeout=0.1)
-                return True
-            except queue.Full:
-                continue
-        return False
-
-    def fetch() -> None:
-        try:
-            for item in items:
-                if not put(item):
-                    return
-            put(_END)
-        except BaseException as error:
-            put(_Failure(error))
-
-    thread = threading.Thread(target=fetch, name="read-ahead", daemon=True)
-    thread.start()
+    rest, end = iter(items), object()
+    pool = ThreadPoolExecutor(1, "read-ahead")
     try:
-        while (item := fetched.get()) is not _END:
-            if isinstance(item, _Failure):
-                raise item.error
+        fetched = deque(pool.submit(next, rest, end) for _ in range(depth))
+        while (item := fetched.popleft().result()) is not end:
+            fetched.append(pool.submit(next, rest, end))
             yield item  # type: ignore[misc]
     finally:
-        stopped.set()
-        thread.join()
+        pool.shutdown(wait=True, cancel_futures=True)
 
 
 class WriteBehind(Generic[Item]):
@@ -119,8 +94,3 @@ class WriteBehind(Generic[Item]):
                 self._pending.popleft().result()
         finally:
             self._pool.shutdown(wait=True, cancel_futures=True)
-
-
-class _Failure:
-    def __init__(self, error: BaseException) -> None:
-        self.error = error

@@ -20,13 +20,13 @@ from vntoolkit.io.atomic import atomic_path
 from vntoolkit.io.maps_and_meshes.arrays import read_npz
 from vntoolkit.io.results.folder import begin_run, read_lock, require_same_request, write_lock
 from vntoolkit.io.results.sequences import MeshSequenceWriter, read_mesh_sequence
+from vntoolkit.io.rigs import entry_from_camera
 from vntoolkit.options.tracking import LOST_PX, Tracker, TrackingOptions
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
-from vntoolkit.pipeline import tracked_folder
 from vntoolkit.pipeline.opened_result import OpenedResult, open_result
 from vntoolkit.pipeline.options import option_values
-from vntoolkit.pipeline.tracked_folder import MEMORY_NAME, TRACKS, TRACKS_VERSION
+from vntoolkit.pipeline.tracked_folder import MEMORY_NAME, TRACKS, TRACKS_VERSION, remove_backwards
 from vntoolkit.tracking.paint import Paint, paint_of_frame
 from vntoolkit.tracking.running_template import RunningTemplate
 from vntoolkit.tracking.tracker import SurfaceTracker, tracked_frame
@@ -247,7 +247,7 @@ def _run(
             on_start(len(numbers), resumed)
         tracker.resume(first, first, source.normals(template))
         _follow(tracker, source, (template, *ahead), writer, on_frame, paint_of, lead=at + 1)
-    tracked_folder.remove_backwards(target)
+    remove_backwards(target)
     return resumed
 
 
@@ -337,7 +337,7 @@ def _record(job: TrackJob, source: OpenedResult, template: int) -> dict[str, Any
         "lost_px": job.lost_px,
         "seams": [np.asarray(seam).tolist() for seam in job.seams],
         "frame_rate_hz": source.manifest.input.playing_rate_hz,
-        "camera": tracked_folder.camera_record(source.rig.camera),
+        "camera": entry_from_camera(source.rig.camera).model_dump(mode="json"),
         "frames": list(source.frames_to_track),
     }
 

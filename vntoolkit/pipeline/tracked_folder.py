@@ -2,7 +2,7 @@
 
 import logging
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from vntoolkit.arrays import Colours, FloatArray, Points
+from vntoolkit.arrays import Colours, Points
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.mesh import Mesh, MeshSequence
 from vntoolkit.io.files import parse_json, read_text
 from vntoolkit.io.results.folder import FolderKind, flat, remove_if_empty
 from vntoolkit.io.results.sequences import SEQUENCE_FILES, read_mesh_sequence
-from vntoolkit.io.rigs import camera_from_content, entry_from_camera
+from vntoolkit.io.rigs import camera_from_content
 from vntoolkit.options.tracking import LOST_PX
 
 _RECORD = "track.json"
@@ -55,6 +55,22 @@ class Tracks:
         """Expected error above which a vertex is called lost."""
         return float(self.record.get("lost_px", LOST_PX))
 
+    def mesh(self, number: int) -> Mesh:
+        """Return the surface in one frame."""
+        return self.sequence[self.numbers.index(number)]
+
+    def with_uv(self, camera: Camera) -> "Tracks":
+        """Return these, the template's texture coordinates those of its own frame's picture.
+
+        camera: of that picture. Without the template's frame they stay as they are.
+        """
+        if self.template_vertices is None:
+            return self
+        u, v = camera.project(self.template_vertices).T
+        uv = np.stack([(u + 0.5) / camera.width, 1 - (v + 0.5) / camera.height], axis=-1)  # from bottom left
+        template = replace(self.sequence.template, uv=uv)
+        return replace(self, sequence=replace(self.sequence, template=template))
+
     @cached_property
     def template_vertices(self) -> Points | None:
         """(n, 3), the surface in the template's own frame; None where that is not tracked yet."""
@@ -73,11 +89,6 @@ def read_tracks(folder: Path) -> Tracks:
             folder, len(tracks.sequence), len(asked),
         )  # fmt: skip
     return tracks
-
-
-def camera_record(camera: Camera) -> dict[str, Any]:
-    """Return the camera as track.json holds it, with the keys of rig.json."""
-    return entry_from_camera(camera).model_dump(mode="json")
 
 
 def recorded_camera(record: Mapping[str, Any]) -> Camera:
@@ -139,9 +150,3 @@ def colours_at(vertices: Points, coloured: Mesh) -> Colours:
     _, nearest = cKDTree(coloured.vertices).query(np.asarray(vertices), workers=-1)
     colours: Colours = np.asarray(coloured.colours)[nearest]
     return colours
-
-
-def uv_in_picture(camera: Camera, vertices: Points) -> FloatArray:
-    """Return (n, 2): where vertices are in the camera's picture, (0, 0) at its bottom left."""
-    u, v = camera.project(np.asarray(vertices)).T
-    return np.stack([(u + 0.5) / camera.width, 1 - (v + 0.5) / camera.height], axis=-1)

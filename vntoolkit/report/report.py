@@ -18,11 +18,13 @@ from vntoolkit.io.maps_and_meshes.ply import read_ply_counts
 from vntoolkit.io.results.frame_log import FrameEntry
 from vntoolkit.io.results.manifest import InputEntry
 from vntoolkit.options.pages import ReportOptions
-from vntoolkit.pipeline.opened_result import OpenedResult, TrackedSurface, open_result
+from vntoolkit.pipeline.opened_result import OpenedResult, open_result
 from vntoolkit.report import page, pictures
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+    from vntoolkit.pipeline.tracked_folder import Tracks
 
 _POINTS = 300  # more frames than this are drawn as a line without points
 
@@ -275,7 +277,7 @@ def _parts(result: OpenedResult, number: int) -> dict[str, pictures.Picture]:
     return dict(zip(titles, pictures.cropped(list(parts.values()), normal_map.mask), strict=True))
 
 
-def track_section(result: OpenedResult, track: TrackedSurface) -> page.PageSection:
+def track_section(result: OpenedResult, track: Tracks) -> page.PageSection:
     """Return the registered surface: its size, its expected error over time, the checkerboard on it."""
     figures = []
     uncertainty = track.sequence.uncertainty_px

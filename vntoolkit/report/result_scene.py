@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -21,10 +21,13 @@ from vntoolkit.io.footage.images import encoded_image, resized_image
 from vntoolkit.native import import_open3d
 from vntoolkit.options.depth import MeshOptions
 from vntoolkit.options.pages import ScenePageOptions, ViewerOptions
-from vntoolkit.pipeline.opened_result import OpenedResult, TrackedSurface
+from vntoolkit.pipeline.opened_result import OpenedResult
 from vntoolkit.report import scene
 from vntoolkit.report.local_server import LocalServer
 from vntoolkit.report.pictures import pictures_of_frame
+
+if TYPE_CHECKING:
+    from vntoolkit.pipeline.tracked_folder import Tracks
 
 _WEBP_QUALITY = 88
 _SERVED_QUALITY = 92  # of a JPEG
@@ -175,7 +178,7 @@ class _ResultScene:
         return scene.mesh_packet(self._thinned.mesh, wires.mesh, wires.kept)
 
     @cached_property
-    def _track(self) -> TrackedSurface | None:
+    def _track(self) -> "Tracks | None":
         """The registered surface; in a page to keep, only where it is there in every frame."""
         track = self._result.track
         if track is None or not set(self.numbers) & set(track.numbers):

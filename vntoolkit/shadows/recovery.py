@@ -1,6 +1,5 @@
 """Normals for every pixel of a frame with self-shadows (brostow2011, Section VI-B, and past it)."""
 
-from dataclasses import dataclass
 from typing import Any
 
 import cv2
@@ -11,7 +10,7 @@ from vntoolkit.arrays import FloatArray, Mask, VisibilityLabels, Weight
 from vntoolkit.checks import checks_kinds, require_mask, require_shape
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
-from vntoolkit.geometry.maps import DepthMap, NormalMap
+from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.geometry.slope_grid import FLATTEST_Z, STEEPEST, RayGrid, ray_at, ray_grid
 from vntoolkit.native import njit
 from vntoolkit.options.normals import RecoveryMethod
@@ -23,7 +22,6 @@ from vntoolkit.shadows.contributions import (
     CLIPPED_TRUST,
     LightContributions,
     Numbers,
-    Window,
     columns_between,
     contributions_from_frame,
     finite,
@@ -40,20 +38,13 @@ from vntoolkit.shadows.contributions import (
     working_image,
 )
 from vntoolkit.shadows.evidence import Lamps, lamps_of
-from vntoolkit.shadows.initialisation import (
-    TRUST_BY_LIGHTS,
-    continue_with_two_lights,
-    noise_of_frame,
-    options_of_frame,
-    solve_from_best_initialisation,
-    spread_of_albedo,
-)
-from vntoolkit.shadows.shadow_edges import labels_without_penumbra
+from vntoolkit.shadows.initialisation import TRUST_BY_LIGHTS, noise_of_frame, solve_from_start
+from vntoolkit.shadows.roots import roots_of_labels, spread_of_albedo
 from vntoolkit.shadows.surface import (
+    ALBEDO_SPREAD,
     LabelledImage,
     Model,
     Surface,
-    depth_map_from_surface,
     local_quadratic,
     mixed,
     model_of,
@@ -61,7 +52,6 @@ from vntoolkit.shadows.surface import (
 
 _SMALLEST_ALBEDO = 1e-3
 _HELD = 600.0  # of the slope from the smaller image: about what four neighbours know together
-_AROUND = np.ones((7, 7), np.uint8)  # how far from a shadow half-shadow and its lit neighbours reach
 
 # The weight of a normal.
 _WEIGHT_BY_LIGHTS = (0.05, 0.2, 0.5, 1.0)  # of a pixel that 0, 1, 2, 3 lights reach
@@ -71,32 +61,6 @@ _ALBEDO_TOLERANCE = 0.4  # departure of a lit pixel's log albedo from its surrou
 # Cosines of the most grazing light to the normal from colour alone.
 _GRAZING = 0.6  # below it the normal solved with the depth stays
 _STEEP = 0.8  # from it on only the colour counts
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class RecoveredSurface:
-    """Normals with weights, and the surface that they were solved with (None where the method has none).
-
-    surface: of `window`, rows and columns of the image, on its working size. camera: of the window.
-    """
-
-    normal_map: NormalMap
-    surface: Surface | None
-    window: Window
-    camera: Camera | None
-
-    @property
-    def depth_map(self) -> DepthMap | None:
-        """The surface's depth (h, w), or None; computed when it is asked for."""
-        if self.surface is None:
-            return None
-        mask = self.normal_map.mask
-        inside = mask[self.window]
-        factor = shrinking(inside)
-        surface = self.surface if factor == 1 else self.surface.enlarged(inside.shape, factor)
-        part = depth_map_from_surface(surface, inside, self.camera)
-        depth = in_whole_image(part.depth, self.window, mask.shape)
-        return DepthMap(depth=depth, mask=mask, unit=part.unit)
 
 
 @checks_kinds
@@ -112,23 +76,9 @@ def recover_normals(
     """Return a normal and a weight for every pixel of `mask`, whichever lights reach it.
 
     labels: (h, w), bit k set where light k arrives. camera: None for orthographic. start:
-    `ShadowDetector.surface` where the labels are that detector's, of the same frame and mask; spares a solve.
-    Where the detector was given other colours, that with `image` None.
+    `ShadowDetector.surface` where the labels are that detector's, of the same frame, mask and response; then
+    the frame is not split by light again.
     """
-    return recover_surface(frame, labels, response, mask, camera, method, start).normal_map
-
-
-@checks_kinds
-def recover_surface(
-    frame: LinearFrame,
-    labels: VisibilityLabels,
-    response: LightResponse,
-    mask: Mask | None = None,
-    camera: Camera | None = None,
-    method: RecoveryMethod = RecoveryMethod.SURFACE,
-    start: Surface | None = None,
-) -> RecoveredSurface:
-    """`recover_normals`, with the depth that the surface method solves for at the same time."""
     inside = np.ones(frame.shape, dtype=np.bool_) if mask is None else np.asarray(mask)
     require_mask(inside, frame.shape)
     require_shape(labels, frame.shape, "visibility labels")
@@ -138,16 +88,14 @@ def recover_surface(
     near = None if camera is None else camera.cropped(*window)
     part, label, here = frame_in_window(frame, window), np.array(labels[window]), np.array(inside[window])
     if method is RecoveryMethod.SURFACE:
-        normals, weight, surface = _with_surface(part, label, response, here, near, start)
+        normals, weight = _with_surface(part, label, response, here, near, start)
     else:
         normals, weight = _by_pixel(part, label, response, here, method)
-        surface = None
-    normal_map = NormalMap(
+    return NormalMap(
         normals_in_camera=in_whole_image(normals, window, frame.shape),
         mask=inside,
         weight=in_whole_image(weight, window, frame.shape),
     )
-    return RecoveredSurface(normal_map=normal_map, surface=surface, window=window, camera=near)
 
 
 def _with_surface(
@@ -157,8 +105,8 @@ def _with_surface(
     inside: Mask,
     camera: Camera | None,
     start: Surface | None,
-) -> tuple[FloatArray, Weight, Surface]:
-    """Return normals (h, w, 3), weights, and the surface on the working size."""
+) -> tuple[FloatArray, Weight]:
+    """Return normals (h, w, 3) and weights, solved together with the depth."""
     if start is not None and start.image is not None:
         image, factor = start.image, shrinking(inside)
     else:
@@ -166,18 +114,9 @@ def _with_surface(
     small_labels = _shrunk(labels, image.mask.shape)
     albedo = albedo_from_lit(image.light.length, image.mask & (small_labels == ALL_LIT), factor)
     lamps, rgb = lamps_of(response), np.ascontiguousarray(frame.rgb)
-    near = cv2.dilate(((labels != ALL_LIT) & inside).astype(np.uint8), _AROUND) > 0
-    if near.any():
-        relative = np.empty_like(rgb)
-        _relative_kernel(
-            flat(rgb), near, lamps, np.ascontiguousarray(albedo[None], np.float32), flat(relative)
-        )
-        labels = labels_without_penumbra(labels, relative, inside, near)
-        small_labels = _shrunk(labels, image.mask.shape)
     labelled = LabelledImage(image=image, labels=small_labels, albedo=albedo)
     noise = noise_of_frame(rgb, response, inside & (labels == ALL_LIT))
-    options = options_of_frame(noise, spread_of_albedo(labelled))
-    surface = solve_from_best_initialisation(labelled, options, start)
+    surface, options = solve_from_start(labelled, noise)
     solved = np.stack([*np.moveaxis(surface.normals, -1, 0), albedo, surface.agreement]).astype(np.float32)
     normals, weight = np.zeros_like(rgb), np.zeros(frame.shape, np.float32)
     _detail_kernel(
@@ -185,37 +124,13 @@ def _with_surface(
         numbers_of(response.lights), ray_grid(camera), model_of(options, settled=True),
         np.float32(_HELD if factor > 1 else 0.0), solved, flat(normals), weight,
     )  # fmt: skip
-    return normals, weight, surface
+    return normals, weight
 
 
 def _shrunk(labels: VisibilityLabels, shape: tuple[int, ...]) -> VisibilityLabels:
     if labels.shape == shape:
         return labels
     return cv2.resize(labels, shape[::-1], interpolation=cv2.INTER_NEAREST).astype(np.uint8)
-
-
-@njit(cache=True, parallel=True, fastmath=FLAGS, error_model="numpy")
-def _relative_kernel(rgb: FloatArray, near: Mask, lamps: Lamps, albedo: FloatArray, out: FloatArray) -> None:
-    """Fill the contributions over the albedo (1, h', w'), of a smaller image, in rows that are `near`."""
-    h, w = near.shape
-    split, ambient = lamps.split, lamps.ambient
-    left, part = columns_between(w, albedo.shape[2])
-    for v in prange(h):
-        first, last = span_of(near[v])
-        if first == last:
-            continue
-        row = np.empty((1, last - first), np.float32)
-        row_between(albedo, np.int64(v), h, left[first:last], part[first:last], row)
-        line, to, around = rgb[v, 3 * first : 3 * last], out[v, 3 * first : 3 * last], row[0]
-        for u in range(last - first):
-            r, g, b = finite(line[3 * u]), finite(line[3 * u + 1]), finite(line[3 * u + 2])
-            x, y, z = turned(split, r, g, b)
-            scale = np.float32(1.0) / max(around[u], np.float32(_SMALLEST_ALBEDO))
-            to[3 * u], to[3 * u + 1], to[3 * u + 2] = (
-                x * scale - ambient[0],
-                y * scale - ambient[1],
-                z * scale - ambient[2],
-            )
 
 
 @njit(cache=True, parallel=True, fastmath=FLAGS, error_model="numpy")
@@ -343,10 +258,10 @@ def _by_pixel(
 def _pixel_by_pixel(
     measured: LightContributions, labels: VisibilityLabels, albedo: FloatArray, mask: Mask
 ) -> FloatArray:
-    relative = measured.relative_to(albedo)
-    normals, decided = continue_with_two_lights(measured.normals, relative, labels, measured.lights, mask)
-    filled = fill_smoothly(normals, decided.astype(np.float32))
-    return np.where(decided[..., None], normals, filled)
+    spread = spread_of_albedo(measured.length, albedo, mask & (labels == ALL_LIT)) or ALBEDO_SPREAD
+    roots = roots_of_labels(measured, albedo, labels, mask, spread)
+    filled = fill_smoothly(roots.normals, roots.known.astype(np.float32))
+    return np.where(roots.known[..., None], roots.normals, filled)
 
 
 def _towards_viewer(normals: FloatArray, mask: Mask) -> FloatArray:

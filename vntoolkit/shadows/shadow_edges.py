@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numba import prange
 
-from vntoolkit.arrays import Array, ByteArray, FloatArray, IntArray, Mask, Matrix3, VisibilityLabels
+from vntoolkit.arrays import ByteArray, FloatArray, IntArray, Mask, Matrix3, VisibilityLabels
 from vntoolkit.native import njit
 from vntoolkit.photometry.frame import ALL_LIT, labels_from_lit
 
@@ -21,11 +21,6 @@ _CAST_PART = (
 )
 _CAST_REACH_PX = 2  # how far nearby is: a blur of 0.9 pixels is over by then
 _CAST_FAINTEST = 0.22  # largest cosine nearby from which there is an edge to judge
-
-# Half-shadow.
-_PENUMBRA_PART = 0.75  # below this part of the largest cosine nearby the light arrives in part
-_PENUMBRA_REACH_PX = 2  # how far nearby is
-_PENUMBRA_FAINTEST = 0.4  # with less nearby the surface turns from the light, and less arrives on both sides
 
 # The outline.
 _RIM_PX = 2.5  # pixels this close to the outline are judged …
@@ -47,41 +42,11 @@ def labels_beyond_half(
     cosines: (h, w, 3), measured. facing: (h, w), bit k set where the surface faces light k, so that its
     shadow is cast. near: (h, w), holds all shadows of `mask` and the pixels around them.
     """
-    missing = ~labels & ALL_LIT
-    return _without_part(
-        labels, missing & facing, cosines, mask, mask if near is None else near, _CAST_PART, _CAST_REACH_PX,
-        _CAST_FAINTEST,
-    )  # fmt: skip
-
-
-# Half-shadow: lit pixels at the edge of a cast shadow that a light reaches only in part.
-
-
-def labels_without_penumbra(
-    labels: VisibilityLabels, relative: FloatArray, mask: Mask, near: Mask | None = None
-) -> VisibilityLabels:
-    """Count each light as missing where it arrives in part.
-
-    labels: (h, w), bit k set where light k arrives. relative: (h, w, 3), contributions over the albedo,
-    known where `near`. Returns labels (h, w), 7 outside `mask`.
-    """
-    found = _without_part(
-        labels, ~labels & ALL_LIT, relative, mask, mask if near is None else near, _PENUMBRA_PART,
-        _PENUMBRA_REACH_PX, _PENUMBRA_FAINTEST,
-    )  # fmt: skip
-    return np.where(mask, found, ALL_LIT).astype(np.uint8)
-
-
-def _without_part(
-    labels: VisibilityLabels, shadow: Array, cosines: FloatArray, mask: Mask, near: Mask,
-    part: float, reach_px: int, faintest: float,
-) -> VisibilityLabels:  # fmt: skip
-    """Take a light from the pixels beside its shadow with less than `part` of the largest cosine nearby."""
     out: VisibilityLabels = np.array(labels, dtype=np.uint8)
-    counted = np.asarray(shadow, np.uint8) * mask
+    shadow = (~labels & ALL_LIT & facing).astype(np.uint8) * mask
     _part_kernel(
-        np.asarray(labels), counted, np.asarray(cosines, np.float32), np.asarray(mask), np.asarray(near),
-        part, reach_px, faintest, out,
+        np.asarray(labels), shadow, np.asarray(cosines, np.float32), np.asarray(mask),
+        np.asarray(mask if near is None else near), _CAST_PART, _CAST_REACH_PX, _CAST_FAINTEST, out,
     )  # fmt: skip
     return out
 

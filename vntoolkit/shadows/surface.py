@@ -20,7 +20,6 @@ from numba import prange
 
 from vntoolkit.arrays import ByteArray, Float32Array, FloatArray, Mask, VisibilityLabels, Weight
 from vntoolkit.geometry.camera import Camera
-from vntoolkit.geometry.maps import DepthMap, LengthUnit
 from vntoolkit.geometry.slope_grid import (
     FLATTEST_Z,
     NO_STEP,
@@ -33,13 +32,12 @@ from vntoolkit.geometry.slope_grid import (
     weights_kernel,
 )
 from vntoolkit.native import njit
-from vntoolkit.photometry.frame import ALL_LIT, count_lit
+from vntoolkit.photometry.frame import ALL_LIT
 from vntoolkit.shadows.albedo import fill_smoothly
 from vntoolkit.shadows.contributions import (
     Numbers,
     WorkingImage,
     flat,
-    mean_inside,
     numbers_of,
 )
 from vntoolkit.solvers import grid_hierarchy, solve_grid
@@ -107,15 +105,6 @@ class Surface:
             agreement=np.zeros(shape[:2], np.float32),
         )
 
-    def shrunk(self, mask: Mask, factor: int) -> "Surface":
-        """Return a start on a grid `factor` times coarser, averaged over the mask."""
-        mean, cover = mean_inside(mask, factor)
-        return Surface(
-            normals=_unit_or_facing(mean(self.normals)),
-            depth=np.ascontiguousarray(mean(self.depth) / np.float32(factor)),
-            agreement=np.zeros_like(cover),
-        )
-
 
 def _unit_or_facing(vectors: FloatArray) -> FloatArray:
     out: FloatArray = np.empty(vectors.shape, np.float32)
@@ -147,17 +136,6 @@ class LabelledImage:
         lit = self.image.mask & (self.labels == ALL_LIT)
         return self.image.light.relative_to(np.where(lit, self.image.light.length, self.albedo))
 
-    def halved(self) -> "LabelledImage":
-        """Return the image at half the size."""
-        image = self.image.halved
-        size = image.mask.shape[::-1]
-        labels = cv2.resize(self.labels, size, interpolation=cv2.INTER_NEAREST).astype(np.uint8)
-        albedo: FloatArray = np.asarray(
-            cv2.resize(self.albedo, size, interpolation=cv2.INTER_AREA), np.float32
-        )
-        trust = None if self.trust is None else mean_inside(self.image.mask, 2)[0](self.trust)
-        return LabelledImage(image=image, labels=labels, albedo=albedo, trust=trust)
-
     def solve(
         self,
         options: SurfaceOptions,
@@ -177,25 +155,6 @@ class LabelledImage:
     @property
     def _trust(self) -> Weight:
         return self.image.light.trust if self.trust is None else self.trust
-
-    def energy(self, surface: Surface, options: SurfaceOptions) -> Grid:
-        """Return (h, w), what a surface costs where two lights or three arrive.
-
-        Light that it does not explain, and gradients of depth that are not its slopes': χ² of each quadrant,
-        no more than a step costs. The worse the albedo is told beyond `ALBEDO_SPREAD`, the less light counts.
-        """
-        image = self.image
-        given = _given(self.cosines, self.labels, image.light.lights, image.mask, self._trust, image.camera)
-        shape = given.seen.shape
-        slopes, quadratics = np.empty((2, *shape), np.float32), np.empty((6, *shape), np.float32)
-        targets, weights = np.empty((2, *shape), np.float32), np.empty((4, *shape), np.float32)
-        _from_normals_kernel(flat(surface.normals), given.rays, slopes)
-        spread = np.float32(max(options.spread, ALBEDO_SPREAD))
-        model = model_of(options, settled=False)._replace(albedo_known=spread)
-        given.quadratics(slopes, slopes, model, quadratics, targets)
-        given.weights(quadratics, slopes, surface.depth, (_STEP_SOFTNESS, _SHADOW_STEP_SOFTNESS), weights)
-        most = np.array([0.0, 0.0, _SHADOW_STEP_SOFTNESS, _STEP_SOFTNESS], np.float32)
-        return np.asarray(most[count_lit(given.seen)] * (1.0 - np.sqrt(weights).mean(axis=0)))
 
 
 def solve_surface(
@@ -301,18 +260,6 @@ def model_of(options: SurfaceOptions, *, settled: bool) -> "Model":
         _MISSING_LIGHT_CUTOFF,
     )  # fmt: skip
     return Model(*(np.float32(value) for value in values))
-
-
-def depth_map_from_surface(surface: Surface, mask: Mask, camera: Camera | None = None) -> DepthMap:
-    """Return the surface's depth: pixels (mean 0) or, for a perspective camera, of free scale (mean 1)."""
-    perspective = camera is not None and camera.is_perspective
-    depth = np.where(mask, surface.depth, 0.0)
-    if mask.any():
-        depth = np.where(mask, depth - depth[mask].mean(), 0.0)
-        if camera is not None and camera.is_perspective:
-            depth = np.where(mask, np.exp(depth / camera.matrix[0, 0]), 0.0)
-            depth /= depth[mask].mean()
-    return DepthMap(depth=depth, mask=mask, unit=LengthUnit.FREE if perspective else LengthUnit.PIXEL)
 
 
 def _first_guess(normals: FloatArray, known: Mask, rays: RayGrid, start: Surface | None) -> tuple[Grid, Grid]:

@@ -10,11 +10,10 @@ import tifffile
 
 from vntoolkit import native
 from vntoolkit.diagnosis.outline import curl_share
-from vntoolkit.errors import BadCapture, BadInput, CannotWrite
+from vntoolkit.errors import BadCapture
 from vntoolkit.geometry.maps import NormalMap
-from vntoolkit.io.atomic import write_bytes
 from vntoolkit.io.footage.captures import open_capture
-from vntoolkit.io.footage.images import read_image, read_image_with_alpha, write_png
+from vntoolkit.io.footage.images import read_image, read_image_with_alpha
 from vntoolkit.io.footage.sequence import find_capture_files
 from vntoolkit.io.maps_and_meshes.exr import read_exr, write_exr
 from vntoolkit.io.maps_and_meshes.label_images import read_mask
@@ -58,20 +57,6 @@ def test_a_deep_exr_is_refused(tmp_path):
     OpenEXR.File(header, {"Y": samples}).write(str(tmp_path / "a.exr"))
     with pytest.raises(BadCapture, match="expected one value a pixel"):
         read_exr(tmp_path / "a.exr")
-
-
-@pytest.mark.parametrize("shape", [(4,), (2, 2, 2, 3), (0, 3)])
-def test_what_is_no_picture_is_not_written(tmp_path, shape, capfd):
-    with pytest.raises(BadInput, match=r"a\.png: expected"):
-        write_png(tmp_path / "a.png", np.zeros(shape, np.uint8))
-    assert capfd.readouterr() == ("", "")
-    assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize("path", [".", "/", ""])
-def test_a_folder_is_no_file_to_write(path):
-    with pytest.raises(CannotWrite, match="is a folder"):
-        write_bytes(path, b"")
 
 
 def test_file_names_with_digits_of_other_kinds_sort(tmp_path):

@@ -7,20 +7,18 @@ import av
 import numpy as np
 import pytest
 
-from tests.pipeline.conftest import RESPONSE, SIZE, dome_normals, write_dome_capture
+from tests.pipeline.conftest import RESPONSE, SIZE, dome_normals, to_normals, write_dome_capture
 from vntoolkit.__main__ import main
 from vntoolkit.errors import BadCapture, BadInput
-from vntoolkit.geometry.camera import Camera
 from vntoolkit.io.footage.captures import CaptureOptions, open_capture
 from vntoolkit.io.footage.images import write_png
 from vntoolkit.io.footage.mattes import open_mattes
 from vntoolkit.io.footage.video import write_video
 from vntoolkit.io.maps_and_meshes.maps import read_normal_map
-from vntoolkit.io.rigs import read_rig, write_rig
+from vntoolkit.io.rigs import read_rig
 from vntoolkit.live.frames import LiveProcessor
 from vntoolkit.options.footage import Gaps, MatteOptions
 from vntoolkit.photometry.response import rgb_from_normals
-from vntoolkit.photometry.rig import Rig
 
 COUNT = 4
 
@@ -127,19 +125,12 @@ def test_mattes_that_do_not_fit_are_refused(tmp_path):
         open_mattes(capture, tmp_path / "take", MatteOptions(key=0.1), tmp_path / "take/f0.png")
 
 
-def _command(tmp_path: Path, source: Path, *more: str) -> list[str]:
-    camera = Camera.orthographic(width=SIZE[1], height=SIZE[0])
-    write_rig(tmp_path / "rig.json", Rig(camera=camera, response=RESPONSE))
-    common = ["--rig", str(tmp_path / "rig.json"), "--out", str(tmp_path / "out"), "--to", "normals"]
-    return ["reconstruct", str(source), *common, "--shadows", "none", *more]
-
-
 def test_frames_without_a_matte_are_named(tmp_path, capsys):
     footage, mattes = _footage(tmp_path / "take"), tmp_path / "mattes"
     mattes.mkdir()
     for number in (0, 1, 3):
         write_png(mattes / f"m{number}.png", np.full(SIZE, 255, np.uint8))
-    command = _command(tmp_path, footage, "--mask", str(mattes))
+    command = to_normals(tmp_path, footage, "--mask", str(mattes))
     assert main(command) == 1
     assert "1 frames have no matte: 2" in " ".join(capsys.readouterr().err.split())
     assert not (tmp_path / "out").exists()
@@ -166,7 +157,7 @@ def test_a_clean_plate_keys_the_subject(tmp_path):
         domes.append((normals, dome))
     write_png(tmp_path / "plate.png", np.rint(65535 * plate).astype(np.uint16))
     more = ["--background", str(tmp_path / "plate.png"), "--key", "0.05", "--allow", "noise"]
-    assert main(_command(tmp_path, tmp_path / "take", *more)) == 0
+    assert main(to_normals(tmp_path, tmp_path / "take", *more)) == 0
     for number, (normals, dome) in enumerate(domes):
         found = read_normal_map(tmp_path / f"out/normals/{number:06d}.exr")
         assert found.mask[dome].mean() > 0.97
@@ -186,7 +177,7 @@ def test_a_clean_plate_keys_the_subject(tmp_path):
 
 def test_doctor_judges_inside_the_mattes(tmp_path, capsys):
     footage = _footage(tmp_path / "take")
-    rig = _command(tmp_path, footage)[3]
+    rig = to_normals(tmp_path, footage)[3]
     (tmp_path / "mattes").mkdir()
     for number in range(COUNT):
         outside = np.where(dome_normals(31.5)[1], 0, 255).astype(np.uint8)
@@ -202,7 +193,7 @@ def test_a_session_finds_the_mattes_of_each_capture_by_its_name(tmp_path, capsys
     (tmp_path / "masks/two").mkdir(parents=True)
     for number in range(COUNT):
         write_png(tmp_path / f"masks/two/m{number}.png", _band(number))
-    command = ["session", *takes, *_command(tmp_path, tmp_path)[2:], "--mask", str(tmp_path / "masks")]
+    command = ["session", *takes, *to_normals(tmp_path, tmp_path)[2:], "--mask", str(tmp_path / "masks")]
     assert main(command) == 1
     assert "expected one mask, video or folder of mattes named one, got none" in capsys.readouterr().err
     write_png(tmp_path / "masks/one.png", _band(1))

@@ -1,23 +1,19 @@
 """Frames that are missing, cut off or of another name are said, and what is there is kept."""
 
 import json
-from fractions import Fraction
 from pathlib import Path
 
-import av
 import numpy as np
 import pytest
 
-from tests.pipeline.conftest import RESPONSE, SIZE, write_dome_capture
+from tests.io.footage.test_stated_facts import film
+from tests.pipeline.conftest import SIZE, to_normals, write_dome_capture
 from vntoolkit.__main__ import main
 from vntoolkit.errors import BadCapture
-from vntoolkit.geometry.camera import Camera
 from vntoolkit.io.footage.captures import CaptureOptions, open_capture
 from vntoolkit.io.footage.images import write_png
 from vntoolkit.io.footage.sequence import find_capture_files
-from vntoolkit.io.rigs import write_rig
 from vntoolkit.options.footage import Gaps
-from vntoolkit.photometry.rig import Rig
 
 
 def _stills(folder: Path, *names: str) -> Path:
@@ -72,13 +68,8 @@ def test_stills_have_no_rate(tmp_path):
 
 
 def _run(tmp_path: Path, verb: str, source: Path, *more: str) -> int:
-    write_rig(
-        tmp_path / "rig.json",
-        Rig(camera=Camera.orthographic(width=SIZE[1], height=SIZE[0]), response=RESPONSE),
-    )
-    common = ["--rig", str(tmp_path / "rig.json"), "--out", str(tmp_path / "out")]
-    noise = ["--allow", "noise"]  # what these videos show
-    return main([verb, str(source), *common, "--to", "normals", "--shadows", "none", *more, *noise])
+    """Noise is what these videos show."""
+    return main([verb, *to_normals(tmp_path, source, *more, "--allow", "noise")[1:]])
 
 
 def test_gaps_and_names_reach_manifest_report_and_doctor(tmp_path, capsys, caplog):
@@ -106,23 +97,12 @@ def test_gaps_and_names_reach_manifest_report_and_doctor(tmp_path, capsys, caplo
     assert "mask.png" in said
 
 
-def _film(path: Path, codec: str, pixels: str, count: int = 8, **options: str) -> None:
-    rng = np.random.default_rng(1)
-    with av.open(str(path), "w") as container:
-        stream = container.add_stream(codec, rate=Fraction(25), options=options)
-        stream.width, stream.height, stream.pix_fmt = SIZE[1], SIZE[0], pixels
-        for _ in range(count):
-            picture = rng.integers(60, 200, (*SIZE, 3), dtype=np.uint8)
-            container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
-        container.mux(stream.encode(None))
-
-
 @pytest.mark.parametrize(
     ("name", "codec", "pixels"),
     [("a.mkv", "ffv1", "bgr0"), ("a.mkv", "libx264", "yuv444p"), ("a.avi", "mjpeg", "yuvj444p")],
 )
-def test_a_cut_off_video_keeps_what_came_and_says_what_is_lost(tmp_path, capsys, name, codec, pixels):
-    _film(tmp_path / name, codec, pixels)
+def test_a_cut_off_video_keeps_what_came_and_says_what_is_lost(tmp_path, rng, capsys, name, codec, pixels):
+    film(tmp_path / name, rng.integers(60, 200, (8, *SIZE, 3), dtype=np.uint8), codec, pixels)
     content = (tmp_path / name).read_bytes()
     (tmp_path / name).write_bytes(content[: int(0.6 * len(content))])
     capture = open_capture(tmp_path / name)

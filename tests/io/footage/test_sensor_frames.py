@@ -9,17 +9,13 @@ import pytest
 import tifffile
 from PIL import Image
 
-from tests.pipeline.conftest import RESPONSE, SIZE, dome_normals
+from tests.pipeline.conftest import dome_light, dome_normals, to_normals
 from vntoolkit.__main__ import main
 from vntoolkit.errors import BadCapture
-from vntoolkit.geometry.camera import Camera
 from vntoolkit.io.footage.captures import CaptureOptions, open_capture
 from vntoolkit.io.footage.images import write_png
 from vntoolkit.io.footage.mosaics import rgb_from_mosaic
-from vntoolkit.io.rigs import write_rig
 from vntoolkit.options.footage import Bayer, Demosaic, SensorOptions
-from vntoolkit.photometry.response import rgb_from_normals
-from vntoolkit.photometry.rig import Rig
 
 BLACK, WHITE = 64, 1023
 LIGHT = np.array([0.2, 0.5, 0.8])
@@ -183,16 +179,12 @@ def test_mosaics_in_video(tmp_path, name, codec, pixels, bits, given):
 
 def test_a_mosaic_is_reconstructed_and_read_again_by_the_report(tmp_path):
     """--bayer is kept in the manifest, so that later verbs see the footage in colour."""
-    normals, mask = dome_normals(31.5)
-    light = np.where(mask[..., None], rgb_from_normals(normals, RESPONSE), 0).clip(0, 1)
+    light, (_, mask) = dome_light(), dome_normals(31.5)
     (tmp_path / "take").mkdir()
     for number in range(2):
         mosaic = _mosaic(np.rint(light * 65535).astype(np.uint16), Bayer.RGGB)
         write_png(tmp_path / f"take/f{number}.png", mosaic)
-    camera = Camera.orthographic(width=SIZE[1], height=SIZE[0])
-    write_rig(tmp_path / "rig.json", Rig(camera=camera, response=RESPONSE))
-    command = ["reconstruct", str(tmp_path / "take"), "--rig", str(tmp_path / "rig.json"), "--to", "normals"]
-    command += ["--shadows", "none", "--out", str(tmp_path / "out")]
+    command = to_normals(tmp_path, tmp_path / "take")
     assert main(command) == 1  # grey
     assert main([*command, "--bayer", "rggb"]) == 0
     from vntoolkit.pipeline.opened_result import open_result

@@ -11,24 +11,22 @@ import pytest
 import tifffile
 from PIL import Image
 
-from tests.pipeline.conftest import RESPONSE, SIZE, dome_normals
+from tests.pipeline.conftest import RESPONSE, dome_light, to_normals
 from vntoolkit.__main__ import main
 from vntoolkit.errors import BadCapture
-from vntoolkit.geometry.camera import Camera
 from vntoolkit.io.footage import video
 from vntoolkit.io.footage.captures import CaptureOptions, open_capture
 from vntoolkit.io.footage.images import read_image
 from vntoolkit.io.footage.orientation import Orientation
 from vntoolkit.io.results.manifest import read_manifest
-from vntoolkit.io.rigs import read_rig, write_rig
+from vntoolkit.io.rigs import read_rig
 from vntoolkit.photometry.response import rgb_from_normals
-from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import Transfer, encoded_from_linear
 
 HEIGHT, WIDTH = 32, 48
 
 
-def _film(
+def film(
     path, frames, codec="ffv1", pixels="bgr0", *, times=None, rotation=0, context=None, sound=False, **options
 ):
     """Write uint8 RGB frames. times: in milliseconds. context: attributes of the encoder."""
@@ -75,7 +73,7 @@ def _levels(count: int) -> list[np.ndarray]:
 @pytest.mark.parametrize(("rotation", "quarters"), [(90, 1), (180, 2), (270, 3)])
 def test_a_turned_video_comes_upright(tmp_path, rotation, quarters):
     """FFmpeg states the turn counter-clockwise, as `numpy.rot90` takes it."""
-    _film(tmp_path / "a.mp4", [_arrow()], "libx264", "yuv444p", rotation=rotation, crf="0")
+    film(tmp_path / "a.mp4", [_arrow()], "libx264", "yuv444p", rotation=rotation, crf="0")
     capture = open_capture(tmp_path / "a.mp4")
     upright = np.rot90(_arrow(), quarters)
     assert (capture.info.height, capture.info.width) == upright.shape[:2]
@@ -135,7 +133,7 @@ def test_the_eight_exif_values_are_the_eight_turns_and_flips():
 
 def test_interlaced_video_is_refused_with_the_command_that_helps(tmp_path):
     options = {"x264-params": "interlaced=1:tff=1"}
-    _film(tmp_path / "a.mp4", _levels(3), "libx264", "yuv420p", **options)
+    film(tmp_path / "a.mp4", _levels(3), "libx264", "yuv420p", **options)
     with pytest.raises(
         BadCapture, match=r"is interlaced.*ffmpeg -i .*a\.mp4 -vf bwdif -c:v ffv1 a_progressive"
     ):
@@ -150,14 +148,14 @@ def test_interlaced_video_is_refused_with_the_command_that_helps(tmp_path):
     [(1, "bt709"), (4, "gamma:2.2"), (5, "gamma:2.8"), (8, "linear"), (13, "srgb"), (16, "pq"), (18, "hlg")],
 )
 def test_a_stated_curve_is_the_default(tmp_path, tag, curve):
-    _film(tmp_path / "a.mkv", _levels(2), "libx264", "yuv444p", context={"color_trc": tag})
+    film(tmp_path / "a.mkv", _levels(2), "libx264", "yuv444p", context={"color_trc": tag})
     capture = open_capture(tmp_path / "a.mkv")
     assert (capture.info.stated_transfer, capture.transfer) == (curve, Transfer.from_text(curve))
     assert open_capture(tmp_path / "a.mkv", CaptureOptions(transfer=Transfer())).transfer == Transfer()
 
 
 def test_a_stated_curve_that_is_not_read_is_refused_by_name(tmp_path):
-    _film(tmp_path / "a.mkv", _levels(2), "libx264", "yuv444p", context={"color_trc": 17})
+    film(tmp_path / "a.mkv", _levels(2), "libx264", "yuv444p", context={"color_trc": 17})
     with pytest.raises(BadCapture, match="states the transfer curve smpte428, which is not read"):
         open_capture(tmp_path / "a.mkv")
 
@@ -198,19 +196,14 @@ def _dome(path: Path, curve: str, tag: int) -> None:
     """A dome under three lights, 4:4:4 without loss, and its tag."""
     frames = []
     for k in range(3):
-        normals, mask = dome_normals(31.5 + k)
-        light = np.where(mask[..., None], rgb_from_normals(normals, RESPONSE), 0).clip(0, 1)
-        encoded = encoded_from_linear(light, Transfer.from_text(curve))
+        encoded = encoded_from_linear(dome_light(31.5 + k), Transfer.from_text(curve))
         frames.append(np.rint(255 * encoded).astype(np.uint8))
-    _film(path, frames, "libx264rgb", "rgb24", context={"color_trc": tag}, crf="0")
+    film(path, frames, "libx264rgb", "rgb24", context={"color_trc": tag}, crf="0")
 
 
 def test_a_tag_against_the_rig_stops_the_run_and_names_both(tmp_path, capsys, caplog):
     _dome(tmp_path / "a.mkv", "linear", 13)
-    camera = Camera.orthographic(width=SIZE[1], height=SIZE[0])
-    write_rig(tmp_path / "rig.json", Rig(camera=camera, response=RESPONSE))
-    command = ["reconstruct", str(tmp_path / "a.mkv"), "--rig", str(tmp_path / "rig.json"), "--to", "normals"]
-    command += ["--shadows", "none", "--out", str(tmp_path / "out")]
+    command = to_normals(tmp_path, tmp_path / "a.mkv")
     assert main(command) == 1
     said = " ".join(capsys.readouterr().err.split())
     assert "the file states the transfer curve srgb, the rig's is linear" in said
@@ -228,24 +221,17 @@ def test_calibration_takes_the_stated_curve_into_the_rig(tmp_path, capsys):
     normals = np.stack([x, y, -np.sqrt(np.maximum(1 - x**2 - y**2, 0))], -1)
     light = np.where(ball[..., None], rgb_from_normals(normals, RESPONSE), 0).clip(0, 1)
     encoded = np.rint(255 * encoded_from_linear(light, Transfer.from_text("srgb"))).astype(np.uint8)
-    _film(tmp_path / "ball.mkv", [encoded], "libx264rgb", "rgb24", context={"color_trc": 13}, crf="0")
+    film(tmp_path / "ball.mkv", [encoded], "libx264rgb", "rgb24", context={"color_trc": 13}, crf="0")
     out = tmp_path / "rig.json"
     assert main(["calibrate", "sphere", str(tmp_path / "ball.mkv"), "--out", str(out)]) == 0
     assert read_rig(out).transfer == Transfer.from_text("srgb")
     assert "transfer curve    srgb" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(
-    ("values", "reason"),
-    [
-        (np.full((96, 96), 90, np.uint8), "the footage is grey"),
-        (np.full((96, 96, 3), 255, np.uint8), "clipped"),
-    ],
-)
-def test_calibration_obeys_the_judge(tmp_path, capsys, values, reason):
-    Image.fromarray(values).save(tmp_path / "a.png")
+def test_calibration_obeys_the_judge(tmp_path, capsys):
+    Image.fromarray(np.full((96, 96), 90, np.uint8)).save(tmp_path / "a.png")
     assert main(["calibrate", "sphere", str(tmp_path / "a.png"), "--out", str(tmp_path / "rig.json")]) == 1
-    assert reason in " ".join(capsys.readouterr().err.split())
+    assert "the footage is grey" in " ".join(capsys.readouterr().err.split())
     assert not (tmp_path / "rig.json").exists()
 
 
@@ -274,15 +260,10 @@ def test_a_tiff_that_is_a_mosaic_is_refused(tmp_path):
 
 def test_times_of_a_varying_rate_reach_the_manifest(tmp_path):
     times = [0, 33, 66, 150, 183, 250]
-    normals, mask = dome_normals(31.5)
-    light = np.where(mask[..., None], rgb_from_normals(normals, RESPONSE), 0).clip(0, 1)
-    _film(tmp_path / "a.mkv", [np.rint(255 * light).astype(np.uint8)] * 6, times=times)
-    _film(tmp_path / "even.mkv", _levels(6))
+    film(tmp_path / "a.mkv", [np.rint(255 * dome_light()).astype(np.uint8)] * 6, times=times)
+    film(tmp_path / "even.mkv", _levels(6))
     assert open_capture(tmp_path / "even.mkv").info.times_s == ()
-    camera = Camera.orthographic(width=SIZE[1], height=SIZE[0])
-    write_rig(tmp_path / "rig.json", Rig(camera=camera, response=RESPONSE))
-    command = ["reconstruct", str(tmp_path / "a.mkv"), "--rig", str(tmp_path / "rig.json"), "--to", "normals"]
-    assert main([*command, "--shadows", "none", "--out", str(tmp_path / "out")]) == 0
+    assert main(to_normals(tmp_path, tmp_path / "a.mkv")) == 0
     entry = json.loads((tmp_path / "out/reconstruction.json").read_text())["input"]
     assert entry["times_s"] == [time / 1000 for time in times]
 
@@ -297,37 +278,32 @@ def test_times_of_a_varying_rate_reach_the_manifest(tmp_path):
     ],
 )
 def test_times_that_cannot_be_are_said_with_what_is_done_instead(tmp_path, caplog, times, said):
-    normals, mask = dome_normals(31.5)
-    light = np.where(mask[..., None], rgb_from_normals(normals, RESPONSE), 0).clip(0, 1)
-    frames = [np.rint(light * (250 - 20 * k)).astype(np.uint8) for k in range(4)]
-    _film(tmp_path / "a.mkv", frames, times=times)
+    frames = [np.rint(dome_light() * (250 - 20 * k)).astype(np.uint8) for k in range(4)]
+    film(tmp_path / "a.mkv", frames, times=times)
     capture = open_capture(tmp_path / "a.mkv")
     assert capture.info.times_s == ()
     for number in (2, 0, 3):  # each frame is the one that was stored in its place
         assert (capture.encoded(number).values == frames[number]).all()
-    camera = Camera.orthographic(width=SIZE[1], height=SIZE[0])
-    write_rig(tmp_path / "rig.json", Rig(camera=camera, response=RESPONSE))
-    command = ["reconstruct", str(tmp_path / "a.mkv"), "--rig", str(tmp_path / "rig.json"), "--to", "normals"]
-    command += ["--shadows", "none", "--frames", "0:3:2"]
-    assert main([*command, "--out", str(tmp_path / "out")]) == 0
+    command = to_normals(tmp_path, tmp_path / "a.mkv", "--frames", "0:3:2")
+    assert main(command) == 0
     assert f"{said}; the frames are played at 25 per second: give --frame-rate-hz" in caplog.text
     caplog.clear()
-    assert main([*command, "--out", str(tmp_path / "b"), "--frame-rate-hz", "12.5"]) == 0
+    assert main([*command, "--overwrite", "--frame-rate-hz", "12.5"]) == 0
     assert "are played at" not in caplog.text
-    filmed = read_manifest(tmp_path / "b").input
+    filmed = read_manifest(tmp_path / "out").input
     assert filmed.times_of((0, 2)).tolist() == [0, 0.16]
     assert filmed.rate_of((0, 2)) == 6.25
 
 
 def test_falling_times_are_told_from_frames_that_are_stored_out_of_order():
-    packets = video._Packets(frames=[(9, True, None), (5, True, None), (0, True, None)])
+    packets = [(9, True, None), (5, True, None), (0, True, None)]
     assert video._wrong_with_times(packets) == "the file's times fall from one frame to the next"
-    builds_on_later = video._Packets(frames=[(0, True, None), (9, False, None), (5, False, None)])
+    builds_on_later = [(0, True, None), (9, False, None), (5, False, None)]
     assert video._wrong_with_times(builds_on_later) == ""
 
 
 def test_the_rate_of_even_times_counts_not_the_headers(tmp_path):
-    _film(tmp_path / "a.mkv", _levels(4), times=[0, 10_000, 20_000, 30_000])
+    film(tmp_path / "a.mkv", _levels(4), times=[0, 10_000, 20_000, 30_000])
     info = open_capture(tmp_path / "a.mkv").info
     assert info.frame_rate_hz == pytest.approx(0.1)
     assert info.times_s == ()
@@ -335,7 +311,7 @@ def test_the_rate_of_even_times_counts_not_the_headers(tmp_path):
 
 def test_b_frames_in_avi_come_in_the_order_they_are_shown(tmp_path):
     """AVI stores no times; FFmpeg's are those of decoding."""
-    _film(tmp_path / "a.avi", _levels(9), "libx264", "yuv444p", bf="3", **{"b-adapt": "0"})
+    film(tmp_path / "a.avi", _levels(9), "libx264", "yuv444p", bf="3", **{"b-adapt": "0"})
     capture = open_capture(tmp_path / "a.avi")
     shown = [round(float(frame.values.mean())) for frame in capture.encoded_frames()]
     np.testing.assert_allclose(shown, [20 + 12 * k for k in range(9)], atol=3)
@@ -348,7 +324,7 @@ def test_a_frame_that_is_stored_before_lost_ones_does_not_take_their_number(tmp_
     """Cut off among B-frames, a P-frame shown after them has come already."""
     frames = [values + rng.integers(0, 20, values.shape, dtype=np.uint8) for values in _levels(16)]
     options = {"bf": "3", "b-adapt": "0", "crf": "10"}
-    _film(tmp_path / "a.mkv", frames, "libx264", "yuv444p", sound=sound, **options)
+    film(tmp_path / "a.mkv", frames, "libx264", "yuv444p", sound=sound, **options)
     content = (tmp_path / "a.mkv").read_bytes()
     lengths = set()
     for share in np.linspace(0.4, 0.9, 6):
@@ -363,7 +339,7 @@ def test_a_frame_that_is_stored_before_lost_ones_does_not_take_their_number(tmp_
 
 @pytest.mark.parametrize(("space", "name"), [(8, "YCgCo"), (14, "ICtCp")])
 def test_a_matrix_that_is_not_read_is_refused_by_name(tmp_path, space, name):
-    _film(tmp_path / "a.mkv", _levels(1), "libx264", "yuv444p", context={"colorspace": space})
+    film(tmp_path / "a.mkv", _levels(1), "libx264", "yuv444p", context={"colorspace": space})
     with pytest.raises(BadCapture, match=f"a.mkv: is stored as {name}, expected RGB"):
         open_capture(tmp_path / "a.mkv")
 
@@ -371,7 +347,7 @@ def test_a_matrix_that_is_not_read_is_refused_by_name(tmp_path, space, name):
 def test_doctor_prints_what_is_stated_and_what_is_done(tmp_path, capsys):
     context = {"color_trc": 1, "colorspace": 9}
     options = {"context": context, "times": [0, 40, 95, 120], "rotation": 90}
-    _film(tmp_path / "a.mp4", [_arrow()] * 4, "libx264", "yuv420p", **options)
+    film(tmp_path / "a.mp4", [_arrow()] * 4, "libx264", "yuv420p", **options)
     main(["doctor", str(tmp_path / "a.mp4")])
     said = " ".join(capsys.readouterr().out.replace("│", " ").split())
     assert "transfer curve bt709 bt709 is undone" in said

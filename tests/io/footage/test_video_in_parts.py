@@ -3,10 +3,10 @@
 import subprocess
 import sys
 
-import av
 import numpy as np
 import pytest
 
+from tests.io.footage.test_stated_facts import film
 from vntoolkit.io.footage import video
 from vntoolkit.io.footage.captures import open_capture
 from vntoolkit.io.footage.video import VideoReader, index_of_stream, write_video
@@ -21,13 +21,8 @@ def camera_video(tmp_path_factory):
     rng = np.random.default_rng(0)
     still = rng.integers(0, 200, (64, 96, 3), dtype=np.uint8)
     options = {"g": "25", "keyint_min": "25", "sc_threshold": "0", "bf": "2", "crf": "10"}
-    with av.open(str(path), "w") as container:
-        stream = container.add_stream("libx264", rate=30, options=options)
-        stream.width, stream.height, stream.pix_fmt = 96, 64, "yuv444p"
-        for k in range(_COUNT):
-            picture = np.roll(still, k, axis=1) + np.uint8(k)
-            container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
-        container.mux(stream.encode())
+    frames = [np.roll(still, k, axis=1) + np.uint8(k) for k in range(_COUNT)]
+    film(path, frames, "libx264", "yuv444p", **options)
     return path
 
 

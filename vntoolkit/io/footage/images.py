@@ -133,9 +133,6 @@ def write_png(path: Path | str, pixels: Array, *, compression_level: int = 1) ->
         raise BadInput(f"{path}: a PNG holds 8- or 16-bit integers, got {pixels.dtype}")
     if pixels.ndim not in (2, 3) or pixels.size == 0 or (pixels.ndim == 3 and pixels.shape[2] not in (3, 4)):
         raise BadInput(f"{path}: expected an image of (h, w), (h, w, 3) or (h, w, 4), got {pixels.shape}")
-    if pixels.ndim == 3:
-        order = cv2.COLOR_RGB2BGR if pixels.shape[2] == 3 else cv2.COLOR_RGBA2BGRA
-        pixels = cv2.cvtColor(np.ascontiguousarray(pixels), order)
     write_bytes(path, _encoded(pixels, ".png", [cv2.IMWRITE_PNG_COMPRESSION, compression_level], str(path)))
 
 
@@ -153,22 +150,26 @@ def encoded_image(pixels: ByteArray, suffix: str = ".png", *, quality: int = 88)
         raise BadInput(
             f"image: expected 8 bits and one of {', '.join(flags)}, got {pixels.dtype}, '{suffix}'"
         )
-    ordered: Array = pixels
-    if pixels.ndim == 3:
-        order = cv2.COLOR_RGBA2BGRA if pixels.shape[2] == 4 else cv2.COLOR_RGB2BGR
-        ordered = cv2.cvtColor(np.ascontiguousarray(pixels), order)
-    return _encoded(ordered, suffix, flags[suffix], "image")
+    return _encoded(pixels, suffix, flags[suffix], "image")
 
 
 def _encoded(pixels: Array, suffix: str, flags: list[int], name: str) -> bytes:
-    """Return the bytes of an image file of pixels in OpenCV's order; raise `BadInput`."""
+    """Return the bytes of an image file of grey, RGB or RGBA pixels; raise `BadInput`."""
     try:
-        ok, content = cv2.imencode(suffix, pixels, flags)
+        ok, content = cv2.imencode(suffix, _in_other_order(pixels), flags)
     except cv2.error:  # of an empty image, or one larger than the format allows
         ok = False
     if not ok:
         raise BadInput(f"{name}: OpenCV cannot encode an image of shape {pixels.shape} as {suffix}")
     return bytes(content.tobytes())
+
+
+def _in_other_order(pixels: Array) -> Array:
+    """Return RGB or RGBA as OpenCV's BGR or BGRA, or these as those; fewer channels as they are."""
+    if pixels.ndim < 3 or pixels.shape[2] < 3:
+        return pixels
+    order = cv2.COLOR_RGB2BGR if pixels.shape[2] == 3 else cv2.COLOR_RGBA2BGRA
+    return np.asarray(cv2.cvtColor(np.ascontiguousarray(pixels), order))
 
 
 def resized_image(pixels: ByteArray, largest_px: int, *, smooth: bool = True) -> ByteArray:
@@ -211,10 +212,7 @@ def decode_image(
         return DecodedImage(colours=turn.upright(rgb), alpha=None, header=header)
     if header.format != "TIFF":  # which OpenCV itself turns upright, and no other
         pixels = turn.upright(pixels)
-    if pixels.ndim == 3 and pixels.shape[2] >= 3:
-        order = cv2.COLOR_BGR2RGB if pixels.shape[2] == 3 else cv2.COLOR_BGRA2RGBA
-        pixels = cv2.cvtColor(pixels, order)
-    pixels = np.atleast_3d(pixels)
+    pixels = np.atleast_3d(_in_other_order(pixels))
     if pixels.shape[2] in (2, 4):
         return DecodedImage(colours=pixels[..., :-1], alpha=pixels[..., -1], header=header)
     return DecodedImage(colours=pixels, alpha=None, header=header)

@@ -16,20 +16,12 @@ _SWS_ITU709, _SWS_ITU601 = 1, 5
 # Codecs whose decoded frame equals what was encoded, whatever their settings.
 LOSSLESS_CODECS = frozenset({"ffv1", "huffyuv", "ffvhuff", "utvideo", "rawvideo", "png", "qtrle", "magicyuv"})
 _LIMITED_RANGE, _FULL_RANGE = 1, 2  # AVCOL_RANGE_MPEG, AVCOL_RANGE_JPEG
-# AVCOL_SPC_* to the luma weights (K_R, K_B): BT.709, FCC, BT.470BG and SMPTE 170M (BT.601), 240M, BT.2020.
-_LUMA_WEIGHTS = {
-    1: (0.2126, 0.0722), 4: (0.30, 0.11), 5: (0.299, 0.114), 6: (0.299, 0.114), 7: (0.212, 0.087),
-    9: (0.2627, 0.0593), 10: (0.2627, 0.0593),
+# AVCOL_SPC_* to the matrix's name and its luma weights (K_R, K_B).
+_MATRICES = {
+    1: ("BT.709", 0.2126, 0.0722), 4: ("FCC", 0.30, 0.11), 5: ("BT.601", 0.299, 0.114),
+    6: ("BT.601", 0.299, 0.114), 7: ("SMPTE 240M", 0.212, 0.087), 9: ("BT.2020", 0.2627, 0.0593),
+    10: ("BT.2020", 0.2627, 0.0593),
 }  # fmt: skip
-_MATRIX_NAMES = {
-    1: "BT.709",
-    4: "FCC",
-    5: "BT.601",
-    6: "BT.601",
-    7: "SMPTE 240M",
-    9: "BT.2020",
-    10: "BT.2020",
-}
 _OTHER_MATRICES = {
     8: "YCgCo", 11: "SMPTE 2085", 12: "chromaticity-derived", 13: "chromaticity-derived", 14: "ICtCp",
     15: "IPT-C2", 16: "YCgCo-Re", 17: "YCgCo-Ro",
@@ -102,9 +94,9 @@ def yuv_conversion(context: Any, pixel_format: PixelFormat, *, hd: bool) -> YuvC
     matrix, stated_range = int(context.colorspace), int(context.color_range)
     is_full = stated_range == _FULL_RANGE or pixel_format.name.startswith("yuvj")
     span = "full" if is_full else "limited"
-    stated = (_MATRIX_NAMES.get(matrix, ""), f"{span} range" if stated_range or is_full else "")
-    taken = _MATRIX_NAMES.get(matrix) or ("BT.709" if hd else "BT.601")
-    text = ", ".join(part for part in stated if part)
+    name = _MATRICES[matrix][0] if matrix in _MATRICES else ""
+    text = ", ".join(filter(None, (name, f"{span} range" if stated_range or is_full else "")))
+    taken = name or ("BT.709" if hd else "BT.601")
     return YuvConversion(stated=text or "nothing", taken=f"{taken}, {span} range")
 
 
@@ -165,9 +157,7 @@ def rgb_from_planar_yuv(
     """
     matrix, offset = _rgb_from_stored(source, bits, hd=hd, takes_codes=takes_codes)
     planes = [_plane(frame, i, np.dtype(np.uint8 if bits == 8 else np.uint16)) for i in range(3)]
-    rgb = np.empty((frame.height, frame.width, 3), dtype=np.uint16)
-    _apply(planes[0], planes[1], planes[2], matrix * 65535.0, offset * 65535.0, rgb)
-    return rgb
+    return _rgb_from_planes(*planes, matrix, offset)
 
 
 def rgb_with_luma_detail(
@@ -177,16 +167,17 @@ def rgb_with_luma_detail(
     bits = pixel_format.bits
     matrix, offset = _rgb_from_stored(frame, bits, hd=hd, takes_codes=takes_codes)
     kind = np.dtype(np.uint8 if bits == 8 else np.uint16)
-    return detail.rgb([_plane(frame, i, kind) for i in range(3)], matrix, offset)
+    planes = [_plane(frame, i, kind) for i in range(3)]
+    return _rgb_from_planes(planes[0], *detail.chroma(planes, matrix, offset), matrix, offset)
 
 
 def _rgb_from_stored(source: Any, bits: int, *, hd: bool, takes_codes: bool) -> tuple[Matrix3, Vector3]:
     """Return the affine map from a frame's YUV codes to RGB 0 to 1, as the frame states it."""
     colour_space = int(source.colorspace)
-    if colour_space == _UNSPECIFIED or colour_space not in _LUMA_WEIGHTS:
+    if colour_space not in _MATRICES:
         colour_space = 1 if hd else 5
     full_range = int(source.color_range) == _FULL_RANGE or source.format.name.startswith("yuvj")
-    matrix, offset = _rgb_from_yuv(*_LUMA_WEIGHTS[colour_space], bits=bits, full_range=full_range)
+    matrix, offset = _rgb_from_yuv(*_MATRICES[colour_space][1:], bits=bits, full_range=full_range)
     if takes_codes and not full_range:  # black is code 16 and white 235 of 8 bits, and alike of more
         top = 2**bits - 1
         matrix, offset = matrix * (219 * 2 ** (bits - 8) / top), (offset * 219 + 16) * (2 ** (bits - 8) / top)
@@ -216,10 +207,13 @@ def _plane(frame: Any, index: int, kind: np.dtype[Any]) -> Array:
 
 
 @njit(cache=True)
-def _apply(luma, blue, red, matrix, offset, rgb):  # type: ignore[no-untyped-def]  # pragma: no cover
+def _rgb_from_planes(luma, blue, red, matrix, offset):  # type: ignore[no-untyped-def]  # pragma: no cover
+    matrix, offset = matrix * 65535.0, offset * 65535.0
+    rgb = np.empty((*luma.shape, 3), dtype=np.uint16)
     for v in range(rgb.shape[0]):
         for u in range(rgb.shape[1]):
             y, cb, cr = float(luma[v, u]), float(blue[v, u]), float(red[v, u])
             for c in range(3):
                 value = matrix[c, 0] * y + matrix[c, 1] * cb + matrix[c, 2] * cr + offset[c] + 0.5
                 rgb[v, u, c] = np.uint16(min(max(value, 0.0), 65535.0))
+    return rgb

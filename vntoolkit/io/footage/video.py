@@ -10,11 +10,11 @@ from bisect import bisect_right
 from collections import deque
 from collections.abc import Iterable, Iterator
 from collections.abc import Set as AbstractSet
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -399,17 +399,14 @@ class Timing:
     unusable: str = ""
 
 
-@dataclass(kw_only=True)
-class _Packets:
-    """What was met on the way: (time, key frame, check or None) of each, and how many were unreadable."""
-
-    frames: "list[tuple[int, bool, SliceCheck | None]]" = field(default_factory=list)
-    broken: int = 0
+# Of each packet: its time, whether it is a key frame, and what `check_slices` returns, None for no check.
+_Packets: TypeAlias = "list[tuple[int, bool, tuple[int, bool] | None]]"
 
 
 def index_of_stream(container: Any, stream: Any, name: str, *, has_checksums: bool) -> VideoIndex:
     """Index an opened video. has_checksums: the codec is FFV1, whose slices may carry them."""
-    packets = _Packets()
+    packets: _Packets = []
+    broken = 0
     latest_s = 0.0  # that any stream reaches
     try:
         for packet in container.demux():
@@ -419,34 +416,32 @@ def index_of_stream(container: Any, stream: Any, name: str, *, has_checksums: bo
                 continue
             if packet.pts is not None and not packet.is_corrupt and not packet.is_discard:
                 check = check_slices(packet) if has_checksums else None
-                packets.frames.append((packet.pts, packet.is_keyframe, check))
-            packets.broken += packet.is_corrupt
+                packets.append((packet.pts, packet.is_keyframe, check))
+            broken += packet.is_corrupt
     except av_errors() as error:
         _logger.debug("%s: demuxing ended early: %s", name, error)
-        packets.broken += 1
-    if not packets.frames:
+        broken += 1
+    if not packets:
         raise BadCapture(f"{name}: the video holds no frame")
     unusable = _wrong_with_times(packets)
     if unusable:
-        times = list(range(len(packets.frames)))
+        times = list(range(len(packets)))
         missing = max(0, _declared_count(stream) - len(times))
     else:
-        packets.frames.sort(key=lambda frame: frame[0])
-        times = [time for time, _, _ in packets.frames]
+        packets.sort(key=lambda frame: frame[0])
+        times = [time for time, _, _ in packets]
         missing = _missing_frames(container, stream, times, latest_s)
-    if (missing or packets.broken) and not unusable and stream.codec_context.has_b_frames:
+    if (missing or broken) and not unusable and stream.codec_context.has_b_frames:
         whole = _frames_before_gap(times)
-        del packets.frames[whole:], times[whole:]
+        del packets[whole:], times[whole:]
         missing = _missing_frames(container, stream, times, latest_s)
     # that a file carries checksums at all is read off the first right one: by chance there is none
-    is_checked = any(check is not None and check.sound for _, _, check in packets.frames)
+    is_checked = any(check is not None and check[0] for _, _, check in packets)
     return VideoIndex(
         times=tuple(times),
-        promised=len(times) + max(missing, packets.broken),
+        promised=len(times) + max(missing, broken),
         damaged=_damaged_frames(packets) if is_checked else frozenset(),
-        key_frames=(0,)
-        if unusable
-        else tuple(number for number, (_, is_key, _) in enumerate(packets.frames) if is_key),
+        key_frames=(0,) if unusable else tuple(k for k, (_, is_key, _) in enumerate(packets) if is_key),
         is_in_order=bool(unusable),
         unusable_times=unusable,
     )
@@ -457,12 +452,12 @@ def _wrong_with_times(packets: _Packets) -> str:
 
     Frames that build on later ones are stored before these, so falling times count only where none does.
     """
-    times = [time for time, _, _ in packets.frames]
+    times = [time for time, _, _ in packets]
     if len(set(times)) == 1 < len(times):
         return f"the file gives all {len(times)} frames one time"
     if len(set(times)) < len(times):
         return f"the file gives {len(times) - len(set(times))} of {len(times)} frames the time of another"
-    if times != sorted(times) and all(is_key for _, is_key, _ in packets.frames):
+    if times != sorted(times) and all(is_key for _, is_key, _ in packets):
         return "the file's times fall from one frame to the next"
     return ""
 
@@ -471,8 +466,8 @@ def _damaged_frames(packets: _Packets) -> frozenset[int]:
     """Return the damaged frames and, up to the next key frame, those after them."""
     damaged: set[int] = set()
     spoilt = False
-    for number, (_, is_key, check) in enumerate(packets.frames):
-        bad = check is not None and check.is_damaged
+    for number, (_, is_key, check) in enumerate(packets):
+        bad = check is not None and check[1]
         spoilt = bad or (spoilt and not is_key)
         if spoilt:
             damaged.add(number)
@@ -524,31 +519,15 @@ def _frames_before_gap(times: list[int]) -> int:
     return int(tail[0]) + 1 if len(tail) else len(times)
 
 
-@dataclass(frozen=True, kw_only=True)
-class SliceCheck:
-    """slices: whole ones met from the end of the packet on. sound: of these, with a right checksum.
-
-    is_whole: True where the slices fill the packet exactly.
-    """
-
-    slices: int
-    sound: int
-    is_whole: bool
-
-    @property
-    def is_damaged(self) -> bool:
-        """True where a packet whose slices carry checksums holds a changed byte."""
-        return not self.is_whole or self.sound < self.slices
-
-
 # Damage in FFV1 video, found by the checksum that each slice of a frame carries (RFC 9043,
 # niedermayer2021).
 
 
-def check_slices(packet: bytes | ByteArray) -> SliceCheck:
-    """Walk the slices of one frame's packet, last to first, as if each carried a checksum.
+def check_slices(packet: bytes | ByteArray) -> tuple[int, bool]:
+    """Return the slices with a right checksum, and whether a packet that carries them holds a changed byte.
 
-    A frame without checksums has no sound slice (but by one chance in 2**32).
+    The slices of one frame are walked from the last to the first, as if each carried a checksum. A frame
+    without checksums has no sound slice (but by one chance in 2**32).
     """
     data = bytes(packet)
     slices, sound, end = 0, 0, len(data)
@@ -560,7 +539,7 @@ def check_slices(packet: bytes | ByteArray) -> SliceCheck:
         slices += 1
         sound += zlib.crc32(data[start:end].translate(_BITS_REVERSED), 0xFFFFFFFF) == 0xFFFFFFFF
         end = start
-    return SliceCheck(slices=slices, sound=sound, is_whole=end == 0)
+    return sound, end > 0 or sound < slices
 
 
 def _display_matrix(frame: Any) -> bytes | None:

@@ -1,4 +1,4 @@
-"""OpenEXR images: float channels by name, size checked from the header, uncompressed ones written fast."""
+"""OpenEXR images: float channels by name, size checked from the header."""
 
 import contextlib
 import io
@@ -6,16 +6,15 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from vntoolkit.arrays import Array, DTypeLike, UInt16Array
+from vntoolkit.arrays import Array
 from vntoolkit.checks import require_shape
 from vntoolkit.errors import BadCapture, BadInput
-from vntoolkit.io.atomic import aligned_memory, write_bytes, write_large
+from vntoolkit.io.atomic import aligned_memory, write_large
 from vntoolkit.io.files import opened, require_pixels
 from vntoolkit.io.footage.stated import BT709, Stated, require_heeded
 from vntoolkit.native import silenced_native_output
@@ -24,7 +23,6 @@ MAGIC = b"\x76\x2f\x31\x01"
 _LONGEST_HEADER = 32 << 20  # bytes
 _MOST_CHANNELS = 16
 _MOST_EMPTY = 1000  # times as large a picture as what is stored of it: a few bytes would fill the memory
-_PREFIX = 4  # of a scanline, in units of two bytes
 _CHANNELS_OF_A_PIXEL = 5  # of our normals; those that the limit in megapixels counts with
 
 
@@ -180,80 +178,19 @@ def write_exr(
     compression: ExrCompression = ExrCompression.NONE,
 ) -> None:
     """Write (h, w) channels, float16 or float32, under their names, with text attributes; atomically."""
+    import OpenEXR
+
     first = next(iter(channels.values()))
     for name, values in channels.items():
         require_shape(values, first.shape, f"EXR channel {name}")
         if values.dtype not in (np.float16, np.float32):
             raise BadInput(f"EXR channel {name}: expected float16 or float32, got {values.dtype}")
-    if compression is not ExrCompression.NONE:
-        write_bytes(path, _encode(channels, _sorted(attributes), compression))
-        return
-    exr = uncompressed_exr(first.shape, {name: v.dtype for name, v in channels.items()}, attributes)
-    for name, values in channels.items():
-        start, row = exr.starts[name], np.ascontiguousarray(values).view(np.uint16)
-        exr.scanlines[:, start : start + row.shape[1]] = row
-    write_large(path, exr.content)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class UncompressedExr:
-    """An uncompressed EXR in memory, complete but for its pixels.
-
-    content: the file. scanlines: (h, n) uint16, in it. starts: where in a scanline a channel's row begins.
-    """
-
-    content: memoryview
-    scanlines: UInt16Array
-    starts: Mapping[str, int]
-
-
-def uncompressed_exr(
-    shape: tuple[int, int], kinds: Mapping[str, DTypeLike], attributes: Mapping[str, str] | None = None
-) -> UncompressedExr:
-    """Return an EXR whose channels, float16 or float32 by name, are to be filled in.
-
-    Without compression the layout is fixed: OpenEXR writes a black image once, whose header others copy.
-    """
-    named = tuple((name, np.dtype(kind).char) for name, kind in sorted(kinds.items()))
-    head = _head(shape, named, _sorted(attributes))
-    starts, length = {}, _PREFIX
-    for name, kind in named:
-        starts[name] = length
-        length += shape[1] * np.dtype(kind).itemsize // 2
-    size = len(head) + shape[0] * length * 2
-    memory = aligned_memory(size + 1)
-    content = memory[len(head) % 2 :][:size]  # so that the scanlines begin at an even address
-    content[: len(head)] = np.frombuffer(head, np.uint8)
-    scanlines = content[len(head) :].view(np.uint16).reshape(shape[0], length)
-    prefix = np.empty((shape[0], 2), "<i4")  # its row, and how many bytes follow
-    prefix[:, 0], prefix[:, 1] = np.arange(shape[0]), 2 * (length - _PREFIX)
-    scanlines[:, :_PREFIX] = prefix.view(np.uint16)
-    return UncompressedExr(content=content.data, scanlines=scanlines, starts=starts)
-
-
-def _sorted(attributes: Mapping[str, str] | None) -> tuple[tuple[str, str], ...]:
-    return tuple(sorted((attributes or {}).items()))
-
-
-@lru_cache(maxsize=8)
-def _head(
-    shape: tuple[int, int], kinds: tuple[tuple[str, str], ...], texts: tuple[tuple[str, str], ...]
-) -> bytes:
-    """Return what comes before the scanlines of an uncompressed file."""
-    content = _encode({name: np.zeros(shape, kind) for name, kind in kinds}, texts, ExrCompression.NONE)
-    row_bytes = 2 * _PREFIX + shape[1] * sum(np.dtype(kind).itemsize for _, kind in kinds)
-    return content[: len(content) - shape[0] * row_bytes]
-
-
-def _encode(
-    channels: Mapping[str, Array], texts: tuple[tuple[str, str], ...], compression: ExrCompression
-) -> bytes:
-    import OpenEXR
-
-    header: dict[str, Any] = dict(texts)
+    header: dict[str, Any] = dict(attributes or {})
     header["compression"] = getattr(OpenEXR, f"{compression.name}_COMPRESSION", OpenEXR.NO_COMPRESSION)
     header["type"] = OpenEXR.scanlineimage
     stream = io.BytesIO()
     contiguous = {name: np.ascontiguousarray(values) for name, values in channels.items()}
     OpenEXR.File(header, contiguous).write(stream)
-    return stream.getvalue()
+    memory = aligned_memory(len(stream.getbuffer()))
+    memory[:] = np.frombuffer(stream.getbuffer(), np.uint8)
+    write_large(path, memory.data)

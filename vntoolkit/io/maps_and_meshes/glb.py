@@ -115,8 +115,11 @@ def write_glb(
     if count > 1:
         seconds = np.arange(count) / frame_rate_hz if times_s is None else times_s
         require_times(seconds, count, f"{path}: times")
-        document["animations"] = [_animation(binary, seconds)]
-    _write(path, _pieces(document, binary))
+        # frame k has the weight of target k - 1 at 1 and all others at 0; frame 0 is the mesh itself
+        weights = np.eye(count, count - 1, k=-1, dtype=np.float32)
+        outputs = [(0, "weights", binary.add(weights.ravel(), "SCALAR"))]
+        document["animations"] = [_animation(binary, seconds, outputs)]
+    _write(path, document, binary)
     return count
 
 
@@ -142,7 +145,7 @@ def write_glb_skin(
     document = _document(mesh, nodes, [0, _FIRST_JOINT], camera, texture, binary)
     document["skins"] = [_skin(binary, clip)]
     document["animations"] = [_skin_animation(binary, clip, motion)]
-    _write(path, _pieces(document, binary))
+    _write(path, document, binary)
     return len(motion)
 
 
@@ -217,7 +220,6 @@ def _skin(binary: _Binary, clip: SkinnedClip) -> dict[str, Any]:
 
 def _skin_animation(binary: _Binary, clip: SkinnedClip, motion: Motion) -> dict[str, Any]:
     """Return the turns of the joints, the path of the root, and the weights of the blend shapes."""
-    times = binary.add((np.arange(len(motion)) / motion.frame_rate_hz).astype(np.float32), "SCALAR")
     outputs: list[tuple[int, str, int]] = [
         (_FIRST_JOINT + joint, "rotation", binary.add(motion.rotations[:, joint].astype(np.float32), "VEC4"))
         for joint in range(len(motion.skeleton.names))
@@ -227,16 +229,7 @@ def _skin_animation(binary: _Binary, clip: SkinnedClip, motion: Motion) -> dict[
     if len(clip.shapes):
         sliders = clip.shape_weights.astype(np.float32).ravel()
         outputs.append((0, "weights", binary.add(sliders, "SCALAR")))
-    return {
-        "name": "Motion",
-        "samplers": [
-            {"input": times, "output": accessor, "interpolation": "LINEAR"} for *_, accessor in outputs
-        ],
-        "channels": [
-            {"sampler": number, "target": {"node": node, "path": way}}
-            for number, (node, way, _) in enumerate(outputs)
-        ],
-    }
+    return _animation(binary, np.arange(len(motion)) / motion.frame_rate_hz, outputs)
 
 
 def _whole_weights(weights: Array) -> UInt16Array:
@@ -245,11 +238,6 @@ def _whole_weights(weights: Array) -> UInt16Array:
     whole[:, : weights.shape[1]] = np.floor(weights * 65535)
     whole[:, 0] += 65535 - whole.sum(axis=1)
     return whole.astype(np.uint16)
-
-
-def _write(path: Path | str, parts: list[bytes]) -> None:
-    with atomic_path(path) as temporary, temporary.open("wb") as file:
-        file.writelines(parts)
 
 
 def _document(
@@ -262,9 +250,11 @@ def _document(
 ) -> dict[str, Any]:
     """Return the file's description, but for its animations."""
     material = dict(_MATTE)
+    scene: dict[str, Any] = {"nodes": roots}
     document: dict[str, Any] = {
         "asset": {"version": "2.0", "generator": f"vntoolkit {__version__}"},
         "scene": 0,
+        "scenes": [scene],
         "nodes": nodes,
         "meshes": [mesh],
         "materials": [material],
@@ -272,33 +262,24 @@ def _document(
     if texture is not None:
         document |= _images(texture, material, binary)
     if camera is not None:
-        document["cameras"] = [
-            {
-                "type": "perspective",
-                "perspective": {
-                    "yfov": camera.vertical_angle_rad,
-                    "aspectRatio": camera.aspect_ratio,
-                    "znear": 0.01,
-                },
-            }
-        ]
+        lens = {
+            "yfov": camera.vertical_angle_rad,
+            "aspectRatio": camera.aspect_ratio,
+            "znear": 0.01,
+        }
+        document["cameras"] = [{"type": "perspective", "perspective": lens}]
         turned = np.eye(4)
         turned[:3, :3], turned[:3, 3] = camera.file_axes(), graphics_from_camera(camera.position)
         nodes.append({"name": "Camera", "camera": 0, "matrix": turned.T.ravel().tolist()})
-        roots = [*roots, len(nodes) - 1]
-    document["scenes"] = [{"nodes": roots}]
-    if camera is not None:  # where the origin of the capture is in this file
-        offset = graphics_from_camera(camera.offset).round(9).tolist()
-        document["scenes"][0]["extras"] = {"vntoolkit_offset": offset}
+        offset = graphics_from_camera(camera.offset).round(9).tolist()  # of the capture's origin in this file
+        scene |= {"nodes": [*roots, len(nodes) - 1], "extras": {"vntoolkit_offset": offset}}
     return document
 
 
 def _images(texture: SurfaceTexture, material: dict[str, Any], binary: _Binary) -> dict[str, Any]:
     """Embed the textures, and let the material show them."""
-    images = []
-    for file in (texture.albedo, texture.normal):
-        if file is not None:
-            images.append({"bufferView": binary.add_file(file.read_bytes()), "mimeType": "image/png"})
+    files = [file for file in (texture.albedo, texture.normal) if file is not None]
+    images = [{"bufferView": binary.add_file(file.read_bytes()), "mimeType": "image/png"} for file in files]
     looks = dict(material["pbrMetallicRoughness"])
     if texture.albedo is not None:
         looks["baseColorTexture"] = {"index": 0}
@@ -378,28 +359,30 @@ def _add_surface(binary: _Binary, primitive: dict[str, Any], template: Mesh, pos
     )
 
 
-def _animation(binary: _Binary, times_s: FloatArray) -> dict[str, Any]:
-    """Frame k has the weight of target k − 1 at 1 and all others at 0; frame 0 is the mesh itself."""
-    weights = np.eye(len(times_s), len(times_s) - 1, k=-1, dtype=np.float32)
-    sampler = {
-        "input": binary.add(np.asarray(times_s, dtype=np.float32), "SCALAR"),
-        "output": binary.add(weights.ravel(), "SCALAR"),
-        "interpolation": "LINEAR",
+def _animation(binary: _Binary, times_s: FloatArray, outputs: list[tuple[int, str, int]]) -> dict[str, Any]:
+    """Return an animation. outputs: node, what of it moves, and the accessor of its values."""
+    times = binary.add(np.asarray(times_s, dtype=np.float32), "SCALAR")
+    return {
+        "name": "Motion",
+        "samplers": [
+            {"input": times, "output": accessor, "interpolation": "LINEAR"} for *_, accessor in outputs
+        ],
+        "channels": [
+            {"sampler": number, "target": {"node": node, "path": path}}
+            for number, (node, path, _) in enumerate(outputs)
+        ],
     }
-    channel = {"sampler": 0, "target": {"node": 0, "path": "weights"}}
-    return {"name": "Motion", "channels": [channel], "samplers": [sampler]}
 
 
-def _pieces(document: dict[str, Any], binary: _Binary) -> list[bytes]:
+def _write(path: Path | str, document: dict[str, Any], binary: _Binary) -> None:
     document["accessors"] = binary.accessors
     document["bufferViews"] = binary.views
     document["buffers"] = [{"byteLength": binary.size}]
     text = json.dumps(document, separators=(",", ":")).encode("utf-8")
     text += b" " * (-len(text) % 4)
     total = _HEADER.size + 2 * _CHUNK.size + len(text) + binary.size
-    return [
-        _HEADER.pack(b"glTF", 2, total),
-        _CHUNK.pack(len(text), b"JSON") + text,
-        _CHUNK.pack(binary.size, b"BIN\0"),
-        *binary.parts,
-    ]
+    with atomic_path(path) as temporary, temporary.open("wb") as file:
+        file.write(_HEADER.pack(b"glTF", 2, total))
+        file.write(_CHUNK.pack(len(text), b"JSON") + text)
+        file.write(_CHUNK.pack(binary.size, b"BIN\0"))
+        file.writelines(binary.parts)

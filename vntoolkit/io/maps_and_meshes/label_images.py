@@ -1,7 +1,6 @@
 """Masks as grey PNG; visibility labels as indexed PNG whose palette shows which lights arrive."""
 
-import struct
-import zlib
+import io
 from pathlib import Path
 
 import numpy as np
@@ -99,9 +98,7 @@ def _above(grey: Array, level: float) -> Mask:
 def write_materials(path: Path | str, labels: ByteArray) -> None:
     """Write (h, w) numbers of materials as indexed PNG, each in a colour of its own."""
     require_shape(labels, (None, None), "material labels")
-    write_bytes(
-        path, _indexed(labels, MATERIAL_PALETTE, "Legend\0number of the material in reconstruction.json")
-    )
+    write_bytes(path, _indexed(labels, MATERIAL_PALETTE, "number of the material in reconstruction.json"))
 
 
 def read_materials(path: Path | str, *, max_megapixels: float | None = None) -> ByteArray:
@@ -114,7 +111,7 @@ def write_labels(path: Path | str, labels: VisibilityLabels) -> None:
     require_shape(labels, (None, None), "visibility labels")
     if labels.dtype != np.uint8 or labels.max(initial=0) > 7:
         raise BadInput(f"{path}: visibility labels are bytes from 0 to 7")
-    legend = "Legend\0" + "; ".join(f"{k}: {v}" for k, v in LABEL_LEGEND.items())
+    legend = "; ".join(f"{k}: {v}" for k, v in LABEL_LEGEND.items())
     write_bytes(path, _indexed(labels, _PALETTE, legend))
 
 
@@ -123,13 +120,17 @@ def read_labels(path: Path | str, *, max_megapixels: float | None = None) -> Vis
     return _numbers(path, _PALETTE, "visibility labels", max_megapixels)
 
 
-def _indexed(labels: ByteArray, palette: ByteArray, text: str) -> bytes:
-    height, width = labels.shape
-    rows = np.zeros((height, width + 1), dtype=np.uint8)  # column 0: PNG's filter 0, none
-    rows[:, 1:] = labels
-    content = b"\x89PNG\r\n\x1a\n" + _chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 3, 0, 0, 0))
-    content += _chunk(b"PLTE", palette.tobytes()) + _chunk(b"tEXt", text.encode())
-    return content + _chunk(b"IDAT", zlib.compress(rows.tobytes(), 1)) + _chunk(b"IEND", b"")
+def _indexed(labels: ByteArray, palette: ByteArray, legend: str) -> bytes:
+    from PIL import Image
+    from PIL.PngImagePlugin import PngInfo
+
+    image = Image.fromarray(labels)
+    image.putpalette(palette.tobytes())
+    text = PngInfo()
+    text.add_text("Legend", legend)
+    stream = io.BytesIO()
+    image.save(stream, "PNG", bits=8, compress_level=1, pnginfo=text)
+    return stream.getvalue()
 
 
 def _numbers(path: Path | str, palette: ByteArray, what: str, max_megapixels: float | None) -> ByteArray:
@@ -151,8 +152,3 @@ def _numbers(path: Path | str, palette: ByteArray, what: str, max_megapixels: fl
             f"{path}: pixel ({u}, {v}) has the colour {rgb[v, u].tolist()}, no label of the legend"
         )
     return labels
-
-
-def _chunk(kind: bytes, content: bytes) -> bytes:
-    checksum = zlib.crc32(kind + content)
-    return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", checksum)

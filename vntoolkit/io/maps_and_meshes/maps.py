@@ -2,16 +2,15 @@
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 
-from vntoolkit.arrays import Array, Float32Array, FloatArray, Flow, Int64Array, Mask, UInt16Array
+from vntoolkit.arrays import Array, Float32Array, FloatArray, Flow, Mask
 from vntoolkit.checks import require_shape
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
-from vntoolkit.io.atomic import write_large
 from vntoolkit.io.footage.images import read_image_with_alpha, write_png
-from vntoolkit.io.maps_and_meshes.exr import ExrCompression, read_exr, uncompressed_exr, write_exr
-from vntoolkit.native import njit
+from vntoolkit.io.maps_and_meshes.exr import ExrCompression, read_exr, write_exr
 from vntoolkit.options.export import NormalConvention
 
 Plane = Float32Array
@@ -20,12 +19,6 @@ _MOST_PERCENT = np.float32(1000.0)  # more means the same, and a half holds no m
 _UNIT_ATTRIBUTE = "vntoolkit.lengthUnit"
 _CONVENTION_ATTRIBUTE = "vntoolkit.normalConvention"
 _SHORTEST_NORMAL = 0.5  # a stored vector below it is background, not a normal: (0, 0, 0) or mid grey
-_SIGN = np.uint32(0x8000_0000)
-_SMALLEST_NORMAL = np.uint32(0x3880_0000)  # 2**-14: below it a half counts in steps of 2**-24
-_BIAS = np.uint32(0x3800_0000)  # the exponents' zeros lie 112 apart
-_TOO_LARGE = np.uint32(0x4780_0000)  # 2**16
-_BEYOND_INFINITY = np.uint32(0x7F80_0000)
-_STEPS_PER_UNIT = np.float32(2.0**24)
 
 
 def write_normal_map(
@@ -44,13 +37,6 @@ def write_normal_map(
     match Path(path).suffix.lower():
         case ".exr":
             attributes = {_CONVENTION_ATTRIBUTE: convention.value}
-            if compression is ExrCompression.NONE:
-                names = [*"RGBA", *([] if normal_map.error_deg is None else [_ERROR_CHANNEL])]
-                exr = uncompressed_exr(normal_map.shape, dict.fromkeys(names, np.float16), attributes)
-                starts = np.array([exr.starts[name] for name in names])
-                _fill_halves(normal_map, convention.signs, exr.scanlines, starts)
-                write_large(path, exr.content)
-                return
             planes = half_planes_from_normals(normal_map, convention.signs)
             channels = dict(zip([*"RGBA", _ERROR_CHANNEL], planes, strict=False))
             write_exr(path, channels, attributes=attributes, compression=compression)
@@ -73,8 +59,9 @@ def read_normal_map(
     convention: None for what the EXR's header says, else opengl. mask: (h, w); None for the alpha channel,
     or where there is none, for the pixels whose vector is longer than 0.5.
     """
+    weight: Plane | None
     if Path(path).suffix.lower() == ".exr":
-        stored, weight, error, stated = _normals_from_exr(path, max_megapixels)
+        stored, weight, error, stated = exr_planes_of_normals(path, max_megapixels)
     else:
         pixels, alpha = read_image_with_alpha(path, max_megapixels=max_megapixels)
         full = 1.0 if pixels.dtype == np.float32 else np.iinfo(pixels.dtype).max
@@ -157,9 +144,10 @@ def _png_from_normals(stored: FloatArray, mask: Mask, bits: int) -> Array:
     return rgba
 
 
-def _normals_from_exr(
+def exr_planes_of_normals(
     path: Path | str, max_megapixels: float | None
-) -> tuple[FloatArray, Plane | None, Plane | None, NormalConvention | None]:
+) -> tuple[FloatArray, Plane, Plane | None, NormalConvention | None]:
+    """Return what an EXR holds of normals: vectors (h, w, 3) as stored, confidence, errors, stated axes."""
     channels, texts = read_exr(path, max_megapixels=max_megapixels, error=BadInput)
     names = next((n for n in ("RGB", "XYZ", "xyz") if set(n) <= set(channels)), None)
     if names is None:
@@ -185,73 +173,26 @@ def half_planes_from_normals(normal_map: NormalMap, signs: tuple[float, float, f
 
     Of a map with expected errors, (5, h, w): then these, in degrees.
     """
-    height, width = normal_map.shape
-    count = 4 if normal_map.error_deg is None else 5
-    rows = np.empty((height, count * width), dtype=np.uint16)
-    _fill_halves(normal_map, signs, rows, width * np.arange(count))
-    return rows.view(np.float16).reshape(height, count, width).transpose(1, 0, 2)
-
-
-def _fill_halves(
-    normal_map: NormalMap,
-    signs: tuple[float, float, float],
-    rows: UInt16Array,
-    starts: Int64Array,
-) -> None:
-    """Put planes into rows of halves, in half of numpy's time; starts: where each begins in a row."""
-    normals = np.ascontiguousarray(normal_map.normals_in_camera, dtype=np.float32)
-    mask = np.ascontiguousarray(normal_map.mask)
     weight, error = normal_map.weight, normal_map.error_deg
-    weight = np.ascontiguousarray(mask if weight is None else weight, dtype=np.float32)
-    error = None if error is None else np.ascontiguousarray(error)
-    flips = np.array([0x8000 if sign < 0 else 0 for sign in (*signs, 1, 1)], dtype=np.uint32)
-    _fill(normals, mask, weight, error, flips, rows, starts)
+    planes = np.empty((4 if error is None else 5, *normal_map.shape), dtype=np.float16)
+    planes[:3] = np.moveaxis(_halves(np.asarray(normal_map.normals_in_camera), (*signs, 1.0)), 2, 0)
+    weight = normal_map.mask.view(np.uint8) if weight is None else np.where(normal_map.mask, weight, 0)
+    planes[3] = _halves(weight)
+    if error is not None:
+        planes[4] = _halves(np.asarray(error))
+    return planes
 
 
-@njit(cache=True)
-def _unit_normals(stored, signs):  # type: ignore[no-untyped-def]  # pragma: no cover
+def _halves(values: Array, factors: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0)) -> Array:
+    """Return products with a factor a channel as float16, rounded as by numpy, in a tenth of its time."""
+    return np.asarray(cv2.multiply(values, np.array(factors), dtype=cv2.CV_16F))
+
+
+def _unit_normals(stored: FloatArray, signs: FloatArray) -> tuple[Float32Array, Mask]:
     """Return stored vectors (h, w, 3) as unit normals, 0 where none is, and (h, w) where one is."""
-    height, width = stored.shape[:2]
-    normals = np.zeros((height, width, 3), np.float32)
-    valid = np.zeros((height, width), np.bool_)
-    for v in range(height):
-        for u in range(width):
-            x, y, z = stored[v, u, 0] * signs[0], stored[v, u, 1] * signs[1], stored[v, u, 2] * signs[2]
-            length = np.sqrt(x * x + y * y + z * z)
-            if length > _SHORTEST_NORMAL and length < np.inf:  # so that it is a number, too
-                valid[v, u] = True
-                normals[v, u, 0], normals[v, u, 1], normals[v, u, 2] = x / length, y / length, z / length
+    normals = np.multiply(stored, signs, dtype=np.float32)
+    length = np.sqrt(np.einsum("...c,...c", normals, normals))
+    valid = (length > _SHORTEST_NORMAL) & (length < np.inf)
+    normals /= np.where(valid, length, np.float32(1))[..., None]
+    normals[~valid] = 0
     return normals, valid
-
-
-@njit(cache=True, inline="always")
-def _half_bits(value, bits):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """Round a float32, given as value and as bits, to the nearest half, ties to even."""
-    sign = (bits & _SIGN) >> np.uint32(16)
-    size = bits & ~_SIGN
-    normal = (size - _BIAS + np.uint32(0xFFF) + ((size >> np.uint32(13)) & np.uint32(1))) >> np.uint32(13)
-    subnormal = np.uint32(np.int32(np.rint(min(abs(value), np.float32(1.0)) * _STEPS_PER_UNIT)))
-    half = normal if size >= _SMALLEST_NORMAL else subnormal
-    infinite = np.uint32(0x7E00) if size > _BEYOND_INFINITY else np.uint32(0x7C00)
-    return sign | (min(half, np.uint32(0x7C00)) if size < _TOO_LARGE else infinite)
-
-
-@njit(cache=True)
-def _fill(normals, mask, weight, error, flips, rows, starts):  # type: ignore[no-untyped-def]  # pragma: no cover
-    height, width = mask.shape
-    row = np.empty(width, np.float32)  # contiguous, so that eight pixels are converted at a time
-    bits = row.view(np.uint32)
-    for v in range(height):
-        for k in range(len(starts)):
-            if k < 3:
-                for u in range(width):
-                    row[u] = normals[v, u, k]
-            elif k == 3:
-                for u in range(width):
-                    row[u] = weight[v, u] if mask[v, u] else np.float32(0)
-            elif error is not None:
-                for u in range(width):  # a slice would take ten seconds to compile
-                    row[u] = error[v, u]
-            to, flip = rows[v, starts[k] : starts[k] + width], flips[k]
-            for u in range(width):
-                to[u] = _half_bits(row[u], bits[u]) ^ flip

@@ -1,8 +1,9 @@
 """Stanford PLY: vertices with normals, colour and texture coordinates, and faces; ASCII and binary."""
 
-import io
 import os
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
+from itertools import repeat
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +13,7 @@ from vntoolkit.arrays import Array, ByteArray, Faces, FloatArray
 from vntoolkit.errors import BadMesh
 from vntoolkit.geometry.mesh import triangles_from_polygons
 from vntoolkit.io.atomic import aligned_memory, write_large
-from vntoolkit.io.files import opened, require_file, require_vertices
-from vntoolkit.native import njit
+from vntoolkit.io.files import opened, require_vertices
 
 _KINDS = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2",
@@ -21,12 +21,7 @@ _KINDS = {
     "float": "f4", "float32": "f4", "double": "f8", "float64": "f8",
 }  # fmt: skip
 _ORDERS = {"ascii": "ascii", "binary_little_endian": "<", "binary_big_endian": ">"}
-_VERTEX = np.dtype(
-    [(name, "<f4") for name in ("x", "y", "z", "nx", "ny", "nz", "s", "t", "quality")]
-    + [(name, "u1") for name in ("red", "green", "blue")]
-)  # with all that a vertex may have
-_ALL_COLUMNS = 5
-_FACE = np.dtype([("count", "u1"), ("first", "<i4"), ("second", "<i4"), ("third", "<i4")])
+_FACE = np.dtype([("count", "u1"), ("corners", "V12")])
 _LONGEST_HEADER = 1 << 16
 _MOST_BYTES_OF_A_NUMBER = 32
 _MOST_BYTES_OF_A_LIST = 1 << 12  # a polygon of hundreds of corners
@@ -52,61 +47,38 @@ def write_ply(
     path: Path | str, content: PlyContent, comment: str = "x right, y up, z towards the viewer"
 ) -> None:
     """Write little-endian binary: float32 `x y z nx ny nz s t quality`, uchar `red green blue`, triangles."""
-    columns: list[tuple[tuple[str, ...], str, Array]] = [(("x", "y", "z"), "f4", content.vertices)]
-    if content.normals is not None:
-        columns.append((("nx", "ny", "nz"), "f4", content.normals))
-    if content.uv is not None:
-        columns.append((("s", "t"), "f4", content.uv))
-    if content.quality is not None:
-        columns.append((("quality",), "f4", content.quality[:, None]))
-    if content.colours is not None:
-        columns.append((("red", "green", "blue"), "u1", content.colours))
+    columns: list[tuple[str, str, Array | None]] = [
+        ("x y z", "<f4", content.vertices),
+        ("nx ny nz", "<f4", content.normals),
+        ("s t", "<f4", content.uv),
+        ("quality", "<f4", content.quality),
+        ("red green blue", "u1", content.colours),
+    ]
+    # Each column as bytes: of fields at odd addresses numpy copies numbers five times as slowly.
+    parts = {
+        names: np.ascontiguousarray(values, kind).view(f"V{np.dtype(kind).itemsize * len(names.split())}")
+        for names, kind, values in columns
+        if values is not None
+    }
     header = ["ply", "format binary_little_endian 1.0", f"comment {comment}"]
     header.append(f"element vertex {len(content.vertices)}")
-    header += [
-        f"property {'float' if kind == 'f4' else 'uchar'} {name}"
-        for names, kind, _ in columns
-        for name in names
-    ]
+    for names, kind, _ in columns:
+        if names in parts:
+            header += [f"property {'uchar' if kind == 'u1' else 'float'} {name}" for name in names.split()]
     faces = np.empty((0, 3), np.int32) if content.faces is None else content.faces
     if content.faces is not None:
         header += [f"element face {len(faces)}", "property list uchar int vertex_indices"]
-    header.append("end_header\n")
-    head = "\n".join(header).encode("ascii")
-    row = np.dtype([(names[0], "<" + kind, (len(names),)) for names, kind, _ in columns])
+    head = "\n".join([*header, "end_header\n"]).encode("ascii")
+    row = np.dtype([(names, values.dtype) for names, values in parts.items()])
     end = len(head) + row.itemsize * len(content.vertices)
     memory = aligned_memory(end + _FACE.itemsize * len(faces))
     memory[: len(head)] = np.frombuffer(head, np.uint8)
-    rows = memory[len(head) : end]
-    if len(columns) == _ALL_COLUMNS:
-        _fill_vertices(*(np.ascontiguousarray(values) for _, _, values in columns), rows.view(_VERTEX))
-    else:
-        for names, _, values in columns:
-            rows.view(row)[names[0]] = values
-    _fill_triangles(np.ascontiguousarray(faces, np.int32), memory[end:].view(_FACE))
+    vertices, triangles = memory[len(head) : end].view(row), memory[end:].view(_FACE)
+    for names, values in parts.items():
+        vertices[names] = values.reshape(-1)
+    triangles["count"] = 3
+    triangles["corners"] = np.ascontiguousarray(faces, "<i4").view("V12").reshape(-1)
     write_large(path, memory.data)
-
-
-# numpy takes five to seven times as long for fields that lie at odd addresses.
-
-
-@njit(cache=True)
-def _fill_vertices(points, normals, uv, quality, colours, rows):  # type: ignore[no-untyped-def]  # pragma: no cover
-    for i in range(len(points)):
-        row = rows[i]
-        row.x, row.y, row.z = points[i, 0], points[i, 1], points[i, 2]
-        row.nx, row.ny, row.nz = normals[i, 0], normals[i, 1], normals[i, 2]
-        row.s, row.t, row.quality = uv[i, 0], uv[i, 1], quality[i, 0]
-        row.red, row.green, row.blue = colours[i, 0], colours[i, 1], colours[i, 2]
-
-
-@njit(cache=True)
-def _fill_triangles(faces, triangles):  # type: ignore[no-untyped-def]  # pragma: no cover
-    for i in range(len(faces)):
-        triangles[i].count = 3
-        triangles[i].first = faces[i, 0]
-        triangles[i].second = faces[i, 1]
-        triangles[i].third = faces[i, 2]
 
 
 def read_ply(path: Path | str) -> PlyContent:
@@ -180,81 +152,61 @@ def bytes_from_colours(colours: Array | None) -> ByteArray | None:
 
 
 def _binary_table(element: "PlyElement", data: bytes, at: int, order: str) -> tuple[dict[str, Any], int]:
-    """Read one element; a list property of constant length takes the fast way."""
-    if not element.has_list:
-        row = np.dtype([(p.name, order + p.kind) for p in element.properties])
+    """Read one element; one whose lists are all as long as those of its first row takes the fast way."""
+    end = at
+
+    def take(kind: str, count: int) -> Array:
+        nonlocal end
+        size = count * np.dtype(kind).itemsize
+        require_bytes(data, end, size)
+        end += size
+        return np.frombuffer(data, order + kind, count, end - size)
+
+    first = _rows(element, repeat(take, min(1, element.count)))
+    fields: list[tuple[str, str, tuple[int, ...]]] = []
+    lengths = {}
+    for p in element.properties:
+        if p.count_kind:
+            lengths[p.name] = len(first[p.name][0]) if element.count else 0
+            fields.append(("\0" + p.name, order + p.count_kind, ()))
+        fields.append((p.name, order + p.kind, (lengths[p.name],) if p.count_kind else ()))
+    row = np.dtype(fields)
+    if not lengths:
         require_bytes(data, at, element.count * row.itemsize)
-        table = np.frombuffer(data, row, element.count, at)
-        return {n: table[n].astype(row[n].newbyteorder("=")) for n in row.names or ()}, at + table.nbytes
-    counts = _first_counts(element, data, at, order)
-    row = np.dtype(
-        [
-            field
-            for p in element.properties
-            for field in (
-                [("\0" + p.name, order + p.count_kind), (p.name, order + p.kind, (counts[p.name],))]
-                if p.count_kind
-                else [(p.name, order + p.kind)]
-            )
-        ]
-    )
     if element.count * row.itemsize <= len(data) - at:
         table = np.frombuffer(data, row, element.count, at)
-        if all((table["\0" + name] == count).all() for name, count in counts.items()):
+        if all((table["\0" + name] == length).all() for name, length in lengths.items()):
             return {p.name: table[p.name].astype(p.kind) for p in element.properties}, at + table.nbytes
-    return _mixed_table(element, data, at, order)
-
-
-def _first_counts(element: "PlyElement", data: bytes, at: int, order: str) -> dict[str, int]:
-    counts: dict[str, int] = {}
-    for p in element.properties if element.count else ():
-        if p.count_kind:
-            kind = np.dtype(order + p.count_kind)
-            require_bytes(data, at, kind.itemsize)
-            counts[p.name] = int(np.frombuffer(data, kind, 1, at)[0])
-            at += kind.itemsize
-        size = counts.get(p.name, 1) * np.dtype(p.kind).itemsize
-        if size < 0:
-            raise ValueError("a list of negative length")
-        require_bytes(data, at, size)
-        at += size
-    return counts or {p.name: 0 for p in element.properties if p.count_kind}
-
-
-def _mixed_table(element: "PlyElement", data: bytes, at: int, order: str) -> tuple[dict[str, Any], int]:
-    """Read rows one by one: lists of differing lengths."""
-    table: dict[str, list[Any]] = {p.name: [] for p in element.properties}
-    for _ in range(element.count):
-        for p in element.properties:
-            count = 1
-            if p.count_kind:
-                kind = np.dtype(order + p.count_kind)
-                require_bytes(data, at, kind.itemsize)
-                count = int(np.frombuffer(data, kind, 1, at)[0])
-                at += kind.itemsize
-            kind = np.dtype(order + p.kind)
-            if count < 0:
-                raise ValueError("a list of negative length")
-            require_bytes(data, at, count * kind.itemsize)
-            table[p.name].append(np.frombuffer(data, kind, count, at))
-            at += count * kind.itemsize
-    return {p.name: _joined(table[p.name], p.count_kind) for p in element.properties}, at
+    end = at
+    return _rows(element, repeat(take, element.count)), end
 
 
 def _ascii_table(element: "PlyElement", lines: Any) -> dict[str, Any]:
-    text = b"\n".join([next(lines) for _ in range(element.count)])
-    if not element.has_list:
-        values = (
-            np.loadtxt(io.BytesIO(text), ndmin=2) if element.count else np.empty((0, len(element.properties)))
-        )
+    text = [next(lines) for _ in range(element.count)]
+    if element.count and not element.has_list:
+        values = np.loadtxt(text, ndmin=2)
         return {p.name: _of_kind(values[:, i], p.kind) for i, p in enumerate(element.properties)}
-    table: dict[str, list[Any]] = {p.name: [] for p in element.properties}
-    for line in text.splitlines():
+
+    def take_from(line: bytes) -> Callable[[str, int], Array]:
         words = iter(line.split())
+        return lambda kind, count: _of_kind([float(next(words)) for _ in range(count)], kind)
+
+    return _rows(element, map(take_from, text))
+
+
+def _rows(element: "PlyElement", takes: Iterable[Callable[[str, int], Array]]) -> dict[str, Any]:
+    """Read rows one by one. takes: of each row, what returns its next numbers of a kind, so many."""
+    table: dict[str, list[Array]] = {p.name: [] for p in element.properties}
+    for take in takes:
         for p in element.properties:
-            count = int(next(words)) if p.count_kind else 1
-            table[p.name].append(_of_kind([float(next(words)) for _ in range(count)], p.kind))
-    return {p.name: _joined(table[p.name], p.count_kind) for p in element.properties}
+            length = int(take(p.count_kind, 1)[0]) if p.count_kind else 1
+            if length < 0:
+                raise ValueError("a list of negative length")
+            table[p.name].append(take(p.kind, length))
+    return {
+        p.name: table[p.name] if p.count_kind else np.concatenate(table[p.name] or [np.empty(0)])
+        for p in element.properties
+    }
 
 
 def _of_kind(values: Any, kind: str) -> Array:
@@ -265,12 +217,6 @@ def _of_kind(values: Any, kind: str) -> Array:
         raise ValueError(f"a number does not fit into {kind}")
     with np.errstate(over="ignore"):  # a double beyond float's range becomes infinite, which is refused later
         return numbers.astype(kind)
-
-
-def _joined(values: list[Any], count_kind: str) -> Any:
-    if not count_kind:
-        return np.concatenate(values) if values else np.empty(0)
-    return values
 
 
 def require_bytes(data: bytes, at: int, size: int) -> None:
@@ -352,7 +298,7 @@ def parse_ply_header(data: bytes, name: str, size: int) -> tuple[str, list[PlyEl
 
 def read_ply_counts(path: Path | str) -> dict[str, int]:
     """Return {element: rows} that the header of a PLY promises; its rows are not read."""
-    with require_file(path, BadMesh).open("rb") as stream:
+    with opened(path, BadMesh) as stream:
         lines = stream.read(_LONGEST_HEADER).split(b"end_header")[0].splitlines()
     words = [line.split() for line in lines]
     return {

@@ -35,7 +35,7 @@ FIGURE = f"{ROOT}/Figure"
 CLOTH = f"{ROOT}/Cloth"
 CAMERA = f"{ROOT}/Camera"
 SUFFIXES = (".usdc", ".usd")
-_FLUSH_BYTES = 16 * 2**20
+_FLUSH_VERTICES = 2**19  # that take 12 to 36 MB
 _ADDRESS_SPACE = 2 << 30  # bytes, mostly its threads' stacks and heaps; with less it ends the process
 
 
@@ -78,9 +78,9 @@ def write_usd_sequence(
             require_shape(vertices, (len(template.vertices), 3), f"frame {count - 1}", BadMesh)
             require_finite(vertices, f"frame {count - 1}", BadMesh)
             time = next(codes)
-            size = _set_points(mesh, vertices, time, up)
-            size += _set_normals(mesh, vertex_normals(vertices, template.faces), time, up)
-            stage.wrote(size, time)
+            _set_points(mesh, vertices, time, up)
+            _set_normals(mesh, vertex_normals(vertices, template.faces), time, up)
+            stage.wrote(len(vertices), time)
     return count
 
 
@@ -103,12 +103,12 @@ def write_usd_meshes(
         surface = _define_mesh(stage.stage)
         for mesh, time in zip(meshes, codes, strict=False):
             count += 1
-            size = _set_points(surface, mesh.vertices, time, up)
-            size += _set_topology(surface, mesh, time)
-            size += _set_attributes(surface, mesh, time, up)
+            _set_points(surface, mesh.vertices, time, up)
+            _set_topology(surface, mesh, time)
+            _set_attributes(surface, mesh, time, up)
             if not stage.stage.GetPrimAtPath(CLOTH):
                 add_material(stage.stage, surface, mesh, None)
-            stage.wrote(size, time)
+            stage.wrote(len(mesh.vertices), time)
     return count
 
 
@@ -180,8 +180,8 @@ def _time(time: float | None) -> Any:
     return Usd.TimeCode.Default() if time is None else Usd.TimeCode(time)
 
 
-def _set_points(mesh: Any, vertices: Points, time: float | None, up: MeshUpAxis) -> int:
-    """Author positions and their bounding box; return the bytes."""
+def _set_points(mesh: Any, vertices: Points, time: float | None, up: MeshUpAxis) -> None:
+    """Author positions and their bounding box."""
     from pxr import Vt
 
     points = vec3f_from_camera(vertices, up)
@@ -193,56 +193,46 @@ def _set_points(mesh: Any, vertices: Points, time: float | None, up: MeshUpAxis)
         turned = graphics_from_camera(np.array(ends), up)
         box = np.stack([turned.min(axis=0), turned.max(axis=0)])  # turning swaps least and greatest
     mesh.CreateExtentAttr().Set(Vt.Vec3fArray.FromNumpy(box.astype(np.float32)), _time(time))
-    return len(vertices) * 12
 
 
-def _set_topology(surface: Any, mesh: Mesh, time: float | None) -> int:
+def _set_topology(surface: Any, mesh: Mesh, time: float | None) -> None:
     from pxr import Vt
 
     counts = np.full(len(mesh.faces), 3, dtype=np.int32)
     surface.CreateFaceVertexCountsAttr().Set(Vt.IntArray.FromNumpy(counts), _time(time))
     indices = np.ascontiguousarray(mesh.faces, dtype=np.int32).ravel()
     surface.CreateFaceVertexIndicesAttr().Set(Vt.IntArray.FromNumpy(indices), _time(time))
-    return counts.nbytes + indices.nbytes
 
 
-def _set_normals(surface: Any, normals: Points, time: float | None, up: MeshUpAxis) -> int:
-    """Author vertex normals; return the bytes."""
+def _set_normals(surface: Any, normals: Points, time: float | None, up: MeshUpAxis) -> None:
     from pxr import UsdGeom
 
     surface.CreateNormalsAttr().Set(vec3f_from_camera(normals, up), _time(time))
     surface.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
-    return len(normals) * 12
 
 
-def _set_attributes(surface: Any, mesh: Mesh, time: float | None, up: MeshUpAxis) -> int:
-    """Author normals, and colours and texture coordinates where there are any; return the bytes."""
+def _set_attributes(surface: Any, mesh: Mesh, time: float | None, up: MeshUpAxis) -> None:
+    """Author normals, and colours and texture coordinates where there are any."""
     from pxr import Sdf, UsdGeom, Vt
 
     normals = vertex_normals(mesh.vertices, mesh.faces) if mesh.normals is None else mesh.normals
-    size = _set_normals(surface, normals, time, up)
-    primvars = UsdGeom.PrimvarsAPI(surface)
-    if mesh.colours is not None:
-        colours = np.ascontiguousarray(mesh.colours, dtype=np.float32)
-        primvar = primvars.CreatePrimvar(
-            "displayColor", Sdf.ValueTypeNames.Color3fArray, UsdGeom.Tokens.vertex
-        )
-        primvar.Set(Vt.Vec3fArray.FromNumpy(colours), _time(time))
-        size += colours.nbytes
-    if mesh.uv is not None:
-        uv = np.ascontiguousarray(mesh.uv, dtype=np.float32)
-        primvar = primvars.CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.vertex)
-        primvar.Set(Vt.Vec2fArray.FromNumpy(uv), _time(time))
-        size += uv.nbytes
-    return size
+    _set_normals(surface, normals, time, up)
+    kinds = Sdf.ValueTypeNames
+    for name, kind, array, values in (
+        ("displayColor", kinds.Color3fArray, Vt.Vec3fArray, mesh.colours),
+        ("st", kinds.TexCoord2fArray, Vt.Vec2fArray, mesh.uv),
+    ):
+        if values is not None:
+            primvar = UsdGeom.PrimvarsAPI(surface).CreatePrimvar(name, kind, UsdGeom.Tokens.vertex)
+            primvar.Set(array.FromNumpy(np.ascontiguousarray(values, dtype=np.float32)), _time(time))
 
 
 class UsdStage:
-    """An open stage; `wrote(bytes, time)` after each frame lets it empty its memory into the file.
+    """An open stage; `wrote(vertices, time)` after each frame lets it empty its memory into the file.
 
     last: the last time code.
     A saved crate layer keeps only where each time sample lies in the file, and saving again appends. So
-    a save every 16 MiB bounds the memory, and one file results, where value clips would need many.
+    a save every so many vertices bounds the memory, and one file results, where value clips would need many.
     """
 
     def __init__(self, stage: Any) -> None:
@@ -250,11 +240,11 @@ class UsdStage:
         self._pending = 0
         self.last = 0.0
 
-    def wrote(self, size: int, time: float) -> None:
-        """Count the frame of a time code, of `size` bytes; save where enough has gathered."""
+    def wrote(self, vertices: int, time: float) -> None:
+        """Count the frame of a time code; save where enough has gathered."""
         self.last = time
-        self._pending += size
-        if self._pending >= _FLUSH_BYTES:
+        self._pending += vertices
+        if self._pending >= _FLUSH_VERTICES:
             self.save()
 
     def save(self) -> None:
@@ -403,7 +393,8 @@ def add_skeleton(
     root = UsdSkel.Root.Define(stage, FIGURE)
     skeleton = UsdSkel.Skeleton.Define(stage, f"{FIGURE}/Skeleton")
     skeleton.CreateJointsAttr(paths)
-    bound = rest_pose(turned.skeleton) if bind is None else _turned_poses(bind)
+    turn = np.diag([1.0, -1.0, -1.0, 1.0])
+    bound = rest_pose(turned.skeleton) if bind is None else np.asarray(turn @ bind @ turn)
     skeleton.CreateBindTransformsAttr(_matrices(bound))
     matrices = np.tile(np.eye(4), (len(turned.skeleton.names), 1, 1))
     matrices[:, :3, 3] = turned.skeleton.offsets
@@ -426,12 +417,6 @@ def add_skeleton(
         offsets[0] = root_position
         translations.Set(vec3f_from_camera(offsets), float(frame))
         rotations.Set(Vt.QuatfArray.FromNumpy(quaternions[frame]), float(frame))
-
-
-def _turned_poses(poses: FloatArray) -> FloatArray:
-    """Return poses (j, 4, 4) in the axes of files."""
-    turn = np.diag([1.0, -1.0, -1.0, 1.0])
-    return np.asarray(turn @ poses @ turn)
 
 
 def _author_extents(root: Any, skeleton: Any, turned: Motion) -> None:

@@ -83,12 +83,10 @@ def _skeleton_of(asf: AsfSkeleton) -> Skeleton:
 
 def _read_amc(path: Path, asf: AsfSkeleton) -> tuple[FloatArray, bool]:
     """Return the values (frames, channels) in the order of the bones, and whether angles are degrees."""
-    starts = np.cumsum([0, *(len(bone.channels) for bone in asf.bones)]).tolist()
-    slots = {b.name: (s, len(b.channels)) for b, s in zip(asf.bones, starts, strict=False) if b.channels}
-    width = starts[-1]
-    row = np.full(width, np.nan)
+    moving = {bone.name: bone for bone in asf.bones if bone.channels}
     rows = array("d")
-    frame, frames, degrees = 0, 0, asf.degrees
+    values: dict[str, list[float]] = {}
+    frame, count, degrees = 0, 0, asf.degrees
     with path.open(encoding="utf-8", errors="replace") as file:
         for number, line in enumerate(iter(lambda: file.readline(_MAX_LINE), ""), start=1):
             words = line.split()
@@ -98,53 +96,49 @@ def _read_amc(path: Path, asf: AsfSkeleton) -> tuple[FloatArray, bool]:
             if words[0].startswith(":"):
                 degrees = {":DEGREES": True, ":RADIANS": False}.get(words[0].upper(), degrees)
             elif len(words) == 1 and _FRAME.fullmatch(words[0]):
-                frames += _close_frame(rows, row, frame, where, asf)
-                if frame and int(words[0]) != frame + 1:
-                    raise BadMotion(f"{where}: expected frame {frame + 1}, got {words[0][:20]}")
-                frame = int(words[0])
+                if frame:
+                    rows.extend(_whole_frame(values, moving, f"{where}: frame {frame}"))
+                    if int(words[0]) != frame + 1:
+                        raise BadMotion(f"{where}: expected frame {frame + 1}, got {words[0][:20]}")
+                frame, count, values = int(words[0]), count + 1, {}
+            elif not frame:
+                raise BadMotion(f"{where}: expected a frame number, got {words[0][:40]!r}")
             else:
-                _fill(row, slots, words, frame, where)
-        frames += _close_frame(rows, row, frame, f"{path.name}, last frame", asf)
-    if not frames:
-        raise BadMotion(f"{path.name}: no frame found: the file is empty or not AMC")
-    return np.frombuffer(rows, dtype=np.float64).reshape(frames, width), degrees
-
-
-def _fill(
-    row: FloatArray, slots: dict[str, tuple[int, int]], words: list[str], frame: int, where: str
-) -> None:
-    """Put one bone's values into the row of the frame."""
-    name = words[0]
+                values[words[0]] = _bone_values(words, moving, where)
     if not frame:
-        raise BadMotion(f"{where}: expected a frame number, got {name[:40]!r}")
-    if name not in slots:
+        raise BadMotion(f"{path.name}: no frame found: the file is empty or not AMC")
+    rows.extend(_whole_frame(values, moving, f"{path.name}, last frame: frame {frame}"))
+    width = sum(len(bone.channels) for bone in moving.values())
+    return np.frombuffer(rows, dtype=np.float64).reshape(count, width), degrees
+
+
+def _bone_values(words: list[str], moving: dict[str, AsfBone], where: str) -> list[float]:
+    """Return the values of one bone's line: its name and a number for each of its channels."""
+    name = words[0]
+    if name not in moving:
         raise BadMotion(f"{where}: the skeleton has no moving bone {name[:40]!r}")
-    start, count = slots[name]
+    count = len(moving[name].channels)
     if len(words) - 1 != count:
         raise BadMotion(f"{where}: {name} has {count} channels, got {len(words) - 1} values")
     try:
-        values = np.array([float(word) for word in words[1:]])
+        values = [float(word) for word in words[1:]]
     except ValueError as error:
         raise BadMotion(f"{where}: expected numbers for {name} ({str(error)[:200]})") from error
     if not np.isfinite(values).all():
         raise BadMotion(f"{where}: {name} holds NaN or infinity")
-    row[start : start + count] = values
+    return values
 
 
-def _close_frame(rows: array[float], row: FloatArray, frame: int, where: str, asf: AsfSkeleton) -> int:
-    """Append a complete frame and empty the row; return how many frames that added."""
-    if not frame:
-        return 0
-    missing = int(np.isnan(row).sum())
+def _whole_frame(values: dict[str, list[float]], moving: dict[str, AsfBone], where: str) -> list[float]:
+    """Return the values of a frame in the order of the bones, or raise where some are missing."""
+    missing = [bone for bone in moving.values() if bone.name not in values]
     if missing:
-        owners = np.repeat([b.name for b in asf.bones], [len(b.channels) for b in asf.bones])
+        lacks, of = (sum(len(bone.channels) for bone in bones) for bones in (missing, moving.values()))
         raise BadMotion(
-            f"{where}: frame {frame} lacks {missing} of {row.size} values (first: {owners[np.isnan(row)][0]})"
-            ": the file is truncated or belongs to another skeleton"
+            f"{where} lacks {lacks} of {of} values (first: {missing[0].name}): the file is truncated or "
+            "belongs to another skeleton"
         )
-    rows.frombytes(row.tobytes())
-    row[:] = np.nan
-    return 1
+    return [value for name in moving for value in values[name]]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -8,9 +8,8 @@ uncertainty_px.npy (float32, (frames, n)) where there is any, and sequence.json.
 import json
 import logging
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
-from types import TracebackType
 from typing import BinaryIO
 
 import numpy as np
@@ -30,7 +29,7 @@ SEQUENCE_FILES = ("template.ply", "vertices.npy", "uncertainty_px.npy", "sequenc
 _logger = logging.getLogger(__name__)
 
 
-class MeshSequenceWriter:
+class MeshSequenceWriter(AbstractContextManager["MeshSequenceWriter"]):
     """Append frames to a moving mesh on disk; after every frame the folder is complete and readable.
 
     times_s: of all frames to come, as `MeshSequence` has them. With `resume`, a folder of the same template
@@ -107,12 +106,7 @@ class MeshSequenceWriter:
         if self._uncertainty_px is not None:
             self._uncertainty_px.close()
 
-    def __enter__(self) -> "MeshSequenceWriter":
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
 

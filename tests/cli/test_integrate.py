@@ -1,0 +1,151 @@
+"""Depth from normal maps of any origin: files, encodings, axes and backgrounds are found out and said."""
+
+import logging
+
+import numpy as np
+import pytest
+
+from vntoolkit.cli import run_verb
+from vntoolkit.cli.integrate import integrate
+from vntoolkit.errors import BadInput
+from vntoolkit.geometry.camera import Camera
+from vntoolkit.io.footage.images import write_png
+from vntoolkit.io.maps_and_meshes.exr import write_exr
+from vntoolkit.io.maps_and_meshes.label_images import write_mask
+from vntoolkit.options.export import NormalConvention
+
+SIZE, RADIUS = 96, 40.0
+
+
+def ball():
+    """Depth, normals in the camera frame and mask of the front of an ellipsoid, which curls if misread."""
+    v, u = (np.mgrid[:SIZE, :SIZE] - 47.5) / RADIUS
+    x, y = u + 0.5 * v, v
+    rest = 1.0 - x * x - y * y
+    mask = rest > 0.1
+    z = np.sqrt(np.where(mask, rest, 1.0))
+    normals = np.stack([x / z, (0.5 * x + y) / z, -np.ones_like(z)], axis=-1)
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    return -RADIUS * z, normals * mask[..., None], mask
+
+
+def encoded(normals, mask, convention, background=0.0, full=255):
+    values = 0.5 + 0.5 * normals * np.array(convention.signs)
+    values = np.where(mask[..., None], values, background)
+    return values if full == 1 else np.rint(values * full).astype(np.uint8 if full == 255 else np.uint16)
+
+
+def write_map(path, normals, mask, convention):
+    import cv2
+    from scipy.io import savemat
+
+    signed = normals * np.array(convention.signs)
+    match path.name.split("."):
+        case [_, "8", "png"]:
+            write_png(path, encoded(normals, mask, convention))
+        case [_, "16", "png"]:
+            write_png(path, encoded(normals, mask, convention, full=65535))
+        case [_, "unit", "tiff"]:
+            cv2.imwrite(str(path), encoded(normals, mask, convention, full=1)[..., ::-1].astype(np.float32))
+        case [_, "signed", "tiff"]:
+            cv2.imwrite(str(path), signed[..., ::-1].astype(np.float32))
+        case [_, "npz"]:
+            np.savez(path, normals=signed, other=np.zeros(3))
+        case [_, "mat"]:
+            savemat(path, {"Normal_gt": signed})
+        case [_, "exr"]:
+            write_exr(path, {name: signed[..., k].astype(np.float32) for k, name in enumerate("RGB")})
+
+
+def error_of(result):
+    depth, _, mask = ball()
+    found = result.depth(0)
+    assert (found.mask & ~mask).sum() == 0
+    assert (found.mask & mask).sum() > 0.95 * mask.sum()
+    difference = (found.depth - depth)[found.mask]
+    return np.abs(difference - np.median(difference)).mean() / RADIUS
+
+
+@pytest.mark.parametrize(
+    "name", ["a.8.png", "a.16.png", "a.unit.tiff", "a.signed.tiff", "a.npz", "a.mat", "a.exr"]
+)
+@pytest.mark.parametrize("convention", list(NormalConvention))
+def test_files_of_all_kinds_give_the_same_depth(tmp_path, name, convention, caplog):
+    _, normals, mask = ball()
+    write_map(tmp_path / name, normals, mask, convention)
+    with caplog.at_level(logging.WARNING):
+        result = integrate(tmp_path / name, out=tmp_path / "out", to="depth")
+    assert error_of(result) < 0.01
+    assert f"read as {convention.value}" in caplog.text
+    assert "taken for orthographic" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("black", 0.0), ("white", 1.0), ("flat blue", [0.5, 0.5, 1.0]), ("grey", 0.5)]
+)
+def test_what_surrounds_the_subject_is_no_normal(tmp_path, name, value, caplog):
+    _, normals, mask = ball()
+    write_png(tmp_path / "a.png", encoded(normals, mask, NormalConvention.OPENGL, value))
+    with caplog.at_level(logging.WARNING):
+        result = integrate(tmp_path / "a.png", out=tmp_path / "out")
+    assert error_of(result) < 0.01
+    assert f"{name} at the border was taken for background" in caplog.text
+    assert len(result.mesh(0).faces) > mask.sum()
+
+
+def test_a_folder_with_mask_and_camera_beside_the_map(tmp_path):
+    _, normals, mask = ball()
+    write_map(tmp_path / "Normal_gt.mat", normals, np.ones_like(mask), NormalConvention.OPENGL)
+    write_mask(tmp_path / "mask.png", mask)
+    np.savetxt(tmp_path / "K.txt", Camera.pinhole(width=SIZE, height=SIZE, focal_px=5000.0).matrix)
+    result = integrate(tmp_path, out=tmp_path / "out", distance=2.0)
+    assert result.camera.is_perspective
+    assert result.depth(0).depth[mask].mean() == pytest.approx(2.0, rel=0.02)
+
+
+def test_frames_of_a_folder_and_what_later_verbs_make_of_them(tmp_path):
+    _, normals, mask = ball()
+    for k in range(3):
+        write_png(tmp_path / f"n{k}.png", encoded(normals, mask, NormalConvention.DIRECTX))
+    run_verb(["integrate", str(tmp_path), "--out", str(tmp_path / "out"), "--frames", "1:3"])
+    run_verb(["export", str(tmp_path / "out"), "--to", "ply"])
+    assert len(list((tmp_path / "out" / "export").rglob("*.ply"))) == 2
+    run_verb(["report", str(tmp_path / "out")])
+    assert (tmp_path / "out" / "report.html").exists()
+
+
+def test_normals_that_face_away_are_left_out_or_refused(tmp_path, caplog):
+    _, normals, _mask = ball()
+    some = normals.copy()
+    some[46:48, 46:48, 2] *= -1
+    np.savez(tmp_path / "a.npz", normals=some)
+    with caplog.at_level(logging.WARNING):
+        integrate(tmp_path / "a.npz", out=tmp_path / "out", convention="opencv")
+    assert "face away: left out" in caplog.text
+    with pytest.raises(BadInput, match="100% of the normals face away from the viewer; give --convention"):
+        integrate(tmp_path / "a.npz", out=tmp_path / "more", convention="opengl")
+
+
+@pytest.mark.parametrize(
+    ("stored", "line"),
+    [
+        ({"normals": np.full((9, 9, 3), 40.0)}, "expected normals, vectors of length 1, got none"),
+        ({"a": np.zeros((9, 9))}, r"expected one array \(h, w, 3\) of normals, it holds a"),
+    ],
+)
+def test_what_is_no_normal_map(tmp_path, stored, line):
+    np.savez(tmp_path / "a.npz", **stored)
+    with pytest.raises(BadInput, match=line):
+        integrate(tmp_path / "a.npz", out=tmp_path / "out")
+
+
+def test_sources_and_cameras_that_are_none(tmp_path):
+    with pytest.raises(BadInput, match="expected a normal map"):
+        integrate(tmp_path, out=tmp_path / "out")
+    _, normals, _ = ball()
+    np.savez(tmp_path / "a.npz", normals=normals)
+    with pytest.raises(BadInput, match="give --camera or --focal-px, not both"):
+        integrate(tmp_path / "a.npz", out=tmp_path / "out", focal_px=9.0, camera=tmp_path / "K.txt")
+    (tmp_path / "K.txt").write_text("1 2 3")
+    with pytest.raises(BadInput, match="expected the 9 numbers of a 3 × 3 camera matrix, got 3 words"):
+        integrate(tmp_path / "a.npz", out=tmp_path / "out")

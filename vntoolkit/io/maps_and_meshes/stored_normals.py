@@ -1,0 +1,153 @@
+"""Normal maps as other programs write them: their files, encodings and backgrounds.
+
+What is stored becomes unit vectors in the file's own axes. What had to be assumed is said in notes.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy import ndimage
+
+from vntoolkit.arrays import Array, Float32Array, FloatArray, Mask
+from vntoolkit.checks import require_shape
+from vntoolkit.errors import BadInput
+from vntoolkit.io.files import require_file
+from vntoolkit.io.footage.images import read_image_with_alpha
+from vntoolkit.io.maps_and_meshes.arrays import read_npz
+from vntoolkit.io.maps_and_meshes.maps import exr_planes_of_normals
+from vntoolkit.options.export import NormalConvention
+
+SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".exr", ".npz", ".mat")
+_SHORTEST, _LONGEST = 0.5, 1.5  # length of a vector that is meant to be a normal
+_ROUNDED = 0.05  # lengths that 8 bits and averaging make
+_MOST_OF_BORDER = 0.5  # of the picture's border, which a background covers
+_LEVEL = 1.5 / 255  # mid grey is stored as 127 or 128
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class StoredNormals:
+    """vectors: (h, w, 3) float32 of length 1, in the axes of the file; 0 outside mask (h, w).
+
+    weight, error_deg: (h, w) or None, as our own EXR files hold. convention: that the file states, or None.
+    notes: what was assumed, a line each.
+    """
+
+    vectors: Float32Array
+    mask: Mask
+    weight: Float32Array | None = None
+    error_deg: Float32Array | None = None
+    convention: NormalConvention | None = None
+    notes: tuple[str, ...] = ()
+
+
+def read_stored_normals(path: Path | str, mask: Mask | None = None) -> StoredNormals:
+    """Read a normal map: PNG, TIFF or JPEG of 8 or 16 bits or floats, EXR, NPZ, or MAT as DiLiGenT's."""
+    path = Path(path)
+    weight, error, stated, alpha = None, None, None, None
+    match path.suffix.lower():
+        case ".exr":
+            samples, weight, error, stated = exr_planes_of_normals(path, None)
+            alpha = weight > 0
+        case ".npz" | ".mat":
+            samples = _normals_of_archive(path)
+        case _:
+            samples, alpha = read_image_with_alpha(path)
+    inside = alpha if mask is None else (mask if alpha is None else alpha & mask)
+    if inside is not None:
+        require_shape(inside, samples.shape[:2], f"mask of {path}")
+    found = stored_normals(samples, inside, str(path))
+    if weight is not None and bool((weight[found.mask] < 1).any()):
+        return StoredNormals(**{**vars(found), "weight": weight, "error_deg": error, "convention": stated})
+    return StoredNormals(**{**vars(found), "error_deg": error, "convention": stated})
+
+
+def stored_normals(samples: Array, mask: Mask | None, name: str) -> StoredNormals:
+    """Decode samples (h, w, 3) of a file or of a video's frame. mask: (h, w); None finds the background."""
+    require_shape(samples, (None, None, 3), name)
+    notes = []
+    inside = np.asarray(np.isfinite(samples).all(axis=2))
+    background = None if mask is not None else _background(samples)
+    if mask is not None:
+        inside &= mask
+    elif background is not None:
+        inside &= ~background[1]
+        notes.append(f"{background[0]} at the border was taken for background; --mask decides")
+    vectors, encoding = _decoded(samples, inside)
+    notes += [encoding] if encoding else []
+    lengths = np.linalg.norm(vectors, axis=2)
+    inside &= (lengths > _SHORTEST) & (lengths < _LONGEST)
+    if not inside.any():
+        raise BadInput(
+            f"{name}: expected normals, vectors of length 1, got none of length {_SHORTEST} to {_LONGEST}; "
+            "give a normal map, and a --mask of its subject"
+        )
+    median = float(np.median(lengths[inside]))
+    if abs(median - 1.0) > _ROUNDED:
+        notes.append(f"vectors of length {median:.2f} (median) were brought to length 1")
+    unit = np.where(inside[..., None], vectors / np.maximum(lengths, _SHORTEST)[..., None], 0)
+    return StoredNormals(vectors=unit.astype(np.float32), mask=inside, notes=tuple(notes))
+
+
+def _background(samples: Array) -> tuple[str, Mask] | None:
+    """Return the name of what surrounds the subject, and where (h, w) it is; None where nothing does."""
+    border = np.concatenate([samples[0], samples[-1], samples[:, 0], samples[:, -1]])
+    colours, counts = np.unique(border, axis=0, return_counts=True)
+    most = colours[counts.argmax()]
+    if counts.max() < _MOST_OF_BORDER * len(border) or not np.isfinite(most).all():
+        return None
+    full = np.iinfo(samples.dtype).max if np.issubdtype(samples.dtype, np.integer) else 1.0
+    level = most.astype(np.float64) / full
+    named = {
+        "black": np.all(level == 0), "white": np.all(level == 1),
+        "grey": np.all(np.abs(level - 0.5) < _LEVEL),
+        "flat blue": np.all(np.abs(level - [0.5, 0.5, 1.0]) < _LEVEL),
+    }  # fmt: skip
+    name = next((name for name, is_that in named.items() if is_that), None)
+    if name is None:
+        return None
+    labels, _ = ndimage.label((samples == most).all(axis=2))
+    at_border = np.unique(np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]]))
+    return name, np.asarray(np.isin(labels, at_border[at_border > 0]))
+
+
+def _decoded(samples: Array, inside: Mask) -> tuple[FloatArray, str]:
+    """Return vectors from samples: n = value · 2 / full − 1, or floats as they are; and a note."""
+    if np.issubdtype(samples.dtype, np.integer):
+        return samples * (2.0 / np.iinfo(samples.dtype).max) - 1.0, ""
+    plain = np.nan_to_num(samples.astype(np.float64))
+    shifted, some = 2.0 * plain - 1.0, plain[inside]
+    if len(some) and some.min() >= 0 and _off(2.0 * some - 1.0) < _off(some):
+        return shifted, "floats from 0 to 1 were read as n = 2 · value − 1"
+    return plain, ""
+
+
+def _off(vectors: FloatArray) -> float:
+    return float(np.median(np.abs(np.linalg.norm(vectors, axis=1) - 1.0)))
+
+
+def _normals_of_archive(path: Path) -> Array:
+    """Return the one array (h, w, 3) of an archive; of several, the one that is named for normals."""
+    shapes = _shapes_in(require_file(path))
+    maps = [name for name, shape in shapes.items() if len(shape) == 3 and shape[2] == 3]
+    maps = [name for name in maps if "normal" in name.lower()] or maps
+    if len(maps) != 1:
+        held = ", ".join(f"{name} {shape}" for name, shape in shapes.items()) or "nothing"
+        raise BadInput(f"{path}: expected one array (h, w, 3) of normals, it holds {held}")
+    if path.suffix.lower() == ".npz":
+        return read_npz(path, maps[0])
+    from scipy.io import loadmat
+
+    return np.asarray(loadmat(path, variable_names=maps)[maps[0]])
+
+
+def _shapes_in(path: Path) -> dict[str, tuple[int, ...]]:
+    try:
+        if path.suffix.lower() == ".mat":
+            from scipy.io import whosmat
+
+            return {name: shape for name, shape, _ in whosmat(path)}
+        with np.load(path, allow_pickle=False) as archive:
+            return {name: archive[name].shape for name in archive.files}
+    except (ValueError, OSError, EOFError, NotImplementedError, AttributeError, KeyError) as problem:
+        raise BadInput(f"{path}: is no whole {path.suffix} archive of arrays ({problem})") from problem

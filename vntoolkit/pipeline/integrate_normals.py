@@ -1,0 +1,298 @@
+"""Anyone's normal maps to depth and meshes, in a folder as `reconstruct` writes."""
+
+import logging
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from vntoolkit.arrays import Mask
+from vntoolkit.checks import require_some
+from vntoolkit.diagnosis.outline import likeliest_convention
+from vntoolkit.errors import BadInput
+from vntoolkit.geometry.camera import Camera, CameraModel
+from vntoolkit.geometry.maps import LengthUnit, NormalMap
+from vntoolkit.integration.expected_error import with_expected_depth_error
+from vntoolkit.integration.integrate import DepthAnchor, DepthIntegrator
+from vntoolkit.io.files import read_text
+from vntoolkit.io.footage.captures import Capture, open_capture
+from vntoolkit.io.footage.frame_range import FrameRange
+from vntoolkit.io.footage.sequence import natural_key
+from vntoolkit.io.maps_and_meshes.label_images import read_mask
+from vntoolkit.io.maps_and_meshes.stored_normals import (
+    SUFFIXES,
+    StoredNormals,
+    read_stored_normals,
+    stored_normals,
+)
+from vntoolkit.io.results import manifest as manifests
+from vntoolkit.io.results.folder import begin_run, write_lock
+from vntoolkit.io.results.frame_log import FrameEntry, FrameLog
+from vntoolkit.io.rigs import entry_from_rig, read_rig
+from vntoolkit.meshing.surface import mesh_from_depth
+from vntoolkit.options.depth import IntegrationOptions, MeshOptions
+from vntoolkit.options.export import NormalConvention
+from vntoolkit.options.reconstruction import Product
+from vntoolkit.photometry.response import LightResponse
+from vntoolkit.photometry.rig import Rig
+from vntoolkit.pipeline.options import option_values
+from vntoolkit.pipeline.outputs import FrameResult, ReconstructionFolder
+
+logger = logging.getLogger(__name__)
+_MOST_BACKWARD = 0.25  # of the normals: more is no noise at the outline, but other axes
+_OF_DILIGENT = ("normals.exr", "Normal_gt.mat", "Normal_est.mat", "normal.png", "normal_map.png")
+
+
+@dataclass(frozen=True, kw_only=True)
+class IntegrateJob:
+    """Normal maps to integrate, and the folder of the results.
+
+    source: a map, a folder of maps or of DiLiGenT's kind, or a video. camera: rig.json, or a text file of the
+    nine numbers of K; focal_px: instead of it; without both, orthographic. convention: None to find it.
+    """
+
+    source: str
+    folder: ReconstructionFolder
+    mask: Path | None = None
+    camera: Path | None = None
+    focal_px: float | None = None
+    convention: NormalConvention | None = None
+    distance_m: float | None = None
+    to: Product = Product.MESH
+    frames: FrameRange = field(default_factory=FrameRange)
+    integration: IntegrationOptions = field(default_factory=IntegrationOptions)
+    meshing: MeshOptions = field(default_factory=MeshOptions)
+
+
+Reader = Callable[[Mask | None], StoredNormals]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class NormalSource:
+    """Normal maps in order: their files, how many, and what reads one. companions: mask.png and K.txt."""
+
+    files: tuple[Path, ...]
+    count: int
+    readers: Callable[[tuple[int, ...]], Iterator[tuple[int, Reader]]]
+    frame_rate_hz: float | None = None
+    mask: Path | None = None
+    camera: Path | None = None
+
+
+def open_normals(source: str) -> NormalSource:
+    """Find the normal maps of a file, a folder or a video. Raises `BadInput` where there is none."""
+    path = Path(source)
+    if path.is_file() and path.suffix.lower() not in SUFFIXES:
+        return _video_source(open_capture(source), path)
+    files, folder = _files_of(path), path
+    if not files:
+        raise BadInput(
+            f"{source}: expected a normal map ({', '.join(SUFFIXES)}), a folder of them or a video"
+        )
+    if path.is_file():
+        folder = path.parent
+
+    def readers(numbers: tuple[int, ...]) -> Iterator[tuple[int, Reader]]:
+        for number in numbers:
+            yield number, partial(read_stored_normals, files[number])
+
+    return NormalSource(
+        files=files,
+        count=len(files),
+        readers=readers,
+        mask=_beside(files, folder / "mask.png"),
+        camera=_beside(files, folder / "K.txt"),
+    )
+
+
+def _beside(files: tuple[Path, ...], path: Path) -> Path | None:
+    """Return a file that belongs to a map in the same folder, if there is one map."""
+    return path if len(files) == 1 and path.exists() else None
+
+
+def _files_of(path: Path) -> tuple[Path, ...]:
+    if not path.is_dir():
+        return (path,) if path.is_file() else ()
+    for name in _OF_DILIGENT:
+        if (path / name).exists():
+            return (path / name,)
+    path = path / "normals" if (path / "normals").is_dir() else path
+    maps = (f for f in path.iterdir() if f.suffix.lower() in SUFFIXES and f.name != "mask.png")
+    return tuple(sorted(maps, key=natural_key))
+
+
+def _video_source(capture: Capture, path: Path) -> NormalSource:
+    def readers(numbers: tuple[int, ...]) -> Iterator[tuple[int, Reader]]:
+        wanted = set(numbers)
+        for frame in capture.encoded_frames(numbers[0], numbers[-1] + 1):
+            if frame.number in wanted:
+                yield frame.number, partial(stored_normals, frame.values, name=frame.name)
+
+    info = capture.info
+    return NormalSource(
+        files=(path,), count=info.frame_count, readers=readers, frame_rate_hz=info.frame_rate_hz
+    )
+
+
+def integrate_normals(
+    job: IntegrateJob,
+    *,
+    overwrite: bool = False,
+    on_start: Callable[[int, int], None] = lambda total, done: None,
+    on_frame: Callable[[FrameEntry], None] = lambda entry: None,
+) -> Path:
+    """Integrate the chosen maps one at a time, and write the folder that every later verb reads."""
+    source = open_normals(job.source)
+    numbers = tuple(job.frames.numbers(source.count))
+    require_some(np.ones(len(numbers), np.bool_), f"{job.source}: frames {job.frames.to_text()}")
+    mask_file = job.mask or source.mask
+    mask = None if mask_file is None else read_mask(mask_file)
+    root, log = job.folder.root, FrameLog(job.folder.root)
+    with write_lock(root):
+        integrator: _FrameIntegrator | None = None
+        on_start(len(numbers), 0)
+        for number, read in source.readers(numbers):
+            started = time.perf_counter()
+            stored = read(mask)
+            if integrator is None:
+                integrator = _begun(job, source, stored, mask_file, overwrite)
+                manifest = _manifest(job, source, integrator.rig, mask_file)
+                begin_run(root, manifests.RECONSTRUCTION, manifest, overwrite=overwrite)
+            result = integrator.frame(number, stored)
+            job.folder.write(result)
+            entry = FrameEntry(
+                number=number,
+                seconds=time.perf_counter() - started,
+                valid_share=float(result.normal_map.mask.mean()),
+            )
+            log.append(entry)
+            on_frame(entry)
+        log.close()
+        manifests.write_manifest(root, manifest.model_copy(update={"finished": manifests.now_utc()}))
+    return root
+
+
+class _FrameIntegrator:
+    """From vectors of a file to depth and a mesh, all frames by one camera and one convention."""
+
+    def __init__(self, job: IntegrateJob, camera: Camera, convention: NormalConvention) -> None:
+        self._job, self._camera = job, camera
+        self._signs = np.array(convention.signs, np.float32)
+        self._integrator = DepthIntegrator(camera, job.integration)
+        self._anchor: DepthAnchor | None = None
+        # a picture of normals is what three lamps along the axes would make: n = 2 value − 1
+        half = 0.5 * np.array(convention.signs)
+        response = LightResponse(matrix=np.diag(half), ambient=np.full(3, 0.5))
+        self.rig = Rig(camera=camera, response=response)
+
+    def frame(self, number: int, stored: StoredNormals) -> FrameResult:
+        """Return normals, depth, and a mesh if asked for."""
+        normal_map = self._normal_map(number, stored)
+        depth_map = self._integrator.integrate(normal_map)
+        self._anchor = self._anchor or DepthAnchor(depth_map)
+        depth_map = self._anchor.align(depth_map, self._integrator.parts)
+        if normal_map.error_deg is not None:
+            depth_map = with_expected_depth_error(depth_map, normal_map, self._camera)
+        if depth_map.unit is LengthUnit.FREE and self._job.distance_m is not None:
+            scaled = depth_map.depth * self._job.distance_m
+            depth_map = replace(depth_map, depth=scaled, unit=LengthUnit.METRE)
+        result = FrameResult(number=number, normal_map=normal_map, clipped_share=0.0, depth_map=depth_map)
+        if self._job.to is not Product.MESH:
+            return result
+        rgb = np.asarray(0.5 + 0.5 * stored.vectors, np.float32)
+        mesh = mesh_from_depth(
+            depth_map, self._camera, rgb=rgb, normal_map=normal_map, options=self._job.meshing
+        )
+        return replace(result, mesh=mesh)
+
+    def _normal_map(self, number: int, stored: StoredNormals) -> NormalMap:
+        """Return the normals in the camera frame, without those that face away."""
+        normals = stored.vectors * self._signs
+        backward = stored.mask & (normals[..., 2] >= 0)
+        share = float(backward.sum()) / float(stored.mask.sum())
+        if share > _MOST_BACKWARD:
+            raise BadInput(
+                f"frame {number}: {share:.0%} of the normals face away from the viewer; give --convention "
+                "opengl, directx or opencv, or a --mask of the subject"
+            )
+        if share > 0:
+            logger.warning("frame %d: %.2g %% of the normals face away: left out", number, 100 * share)
+        mask = stored.mask & ~backward
+        return NormalMap(
+            normals_in_camera=normals * mask[..., None],
+            mask=mask,
+            weight=stored.weight,
+            error_deg=None if stored.error_deg is None else np.where(mask, stored.error_deg, 0),
+        )
+
+
+def _begun(
+    job: IntegrateJob, source: NormalSource, stored: StoredNormals, mask_file: Path | None, overwrite: bool
+) -> _FrameIntegrator:
+    """Settle camera and convention on the first map, and say what was found."""
+    for note in stored.notes:
+        logger.warning("%s: %s", job.source, note)
+    if mask_file is not None and job.mask is None:
+        logger.warning("%s: masked by %s beside it", job.source, mask_file.name)
+    convention = job.convention or stored.convention
+    if convention is None:
+        convention, why = likeliest_convention(stored.vectors, stored.mask)
+        logger.warning("%s: read as %s (%s); --convention decides", job.source, convention.value, why)
+    return _FrameIntegrator(job, _camera_of(job, source, stored.mask.shape), convention)
+
+
+def _camera_of(job: IntegrateJob, source: NormalSource, shape: tuple[int, ...]) -> Camera:
+    height, width = shape
+    if job.focal_px is not None:
+        if job.camera is not None:
+            raise BadInput("camera: give --camera or --focal-px, not both")
+        return Camera.pinhole(width=width, height=height, focal_px=job.focal_px)
+    given = job.camera or source.camera
+    if given is None:
+        logger.warning(
+            "%s: taken for orthographic; give --focal-px or --camera where it is perspective", job.source
+        )
+        return Camera.orthographic(width=width, height=height)
+    if given.suffix.lower() == ".json":
+        rig = read_rig(given)
+        rig.require_size(width, height, job.source)
+        return rig.camera
+    return Camera(model=CameraModel.PINHOLE, width=width, height=height, matrix=read_camera_matrix(given))
+
+
+def read_camera_matrix(path: Path) -> "np.ndarray[tuple[int, ...], np.dtype[np.float64]]":
+    """Read the nine numbers of K from a text file."""
+    words = read_text(path).replace(",", " ").split()
+    try:
+        return np.array([float(word) for word in words]).reshape(3, 3)
+    except ValueError as error:
+        raise BadInput(
+            f"{path}: expected the 9 numbers of a 3 × 3 camera matrix, got {len(words)} words"
+        ) from error
+
+
+def _manifest(
+    job: IntegrateJob, source: NormalSource, rig: Rig, mask_file: Path | None
+) -> manifests.Manifest:
+    written = ["normals", "depth", *(["mesh"] if job.to is Product.MESH else [])]
+    options = option_values(job.integration, "integration.") | option_values(job.meshing, "meshing.")
+    return manifests.Manifest(
+        input=manifests.InputEntry(
+            source=job.source,
+            files=manifests.hashed(source.files),
+            width=rig.camera.width,
+            height=rig.camera.height,
+            frame_count=source.count,
+            frame_rate_hz=source.frame_rate_hz,
+        ),
+        extra_files={} if mask_file is None else {"mask": manifests.entry_of_files(mask_file, (mask_file,))},
+        rig=entry_from_rig(rig),
+        options=options | {"distance_m": job.distance_m},
+        frames=job.frames.to_text(),
+        outputs=written,
+        versions=manifests.library_versions(),
+        started=manifests.now_utc(),
+    )
