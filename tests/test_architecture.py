@@ -74,7 +74,7 @@ LINES = {
     "(root)": 1960,
     "calibration": 4690,
     "cli": 3420,
-    "diagnosis": 4460,
+    "diagnosis": 4380,
     "evaluation": 1140,
     "geometry": 1800,
     "integration": 1700,
