@@ -247,7 +247,6 @@ def _require_new_outputs(asked: Any) -> None:
 
     In a folder of footage, only a picture would be taken for one of its frames.
     """
-    kind: type = type(asked)
     given = {field.name: getattr(asked, field.name) for field in dataclasses.fields(asked)}
     flags = {field.name for field in dataclasses.fields(asked) if field.kw_only}
     written = {
