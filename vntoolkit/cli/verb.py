@@ -226,11 +226,11 @@ def _type_of_flag(hint: Any) -> Any:
 def meanings_of_fields(arguments: Any) -> dict[str, str]:
     """Return the docstring beneath each field of a class and of those it inherits from."""
     meanings: dict[str, str] = {}
-    for kind in reversed(arguments.__mro__):
-        if not dataclasses.is_dataclass(kind):
+    kinds: tuple[type, ...] = arguments.__mro__[::-1]
+    for kind in kinds:
+        if not hasattr(kind, "__dataclass_fields__"):
             continue
-        source: Any = kind
-        body = ast.parse(textwrap.dedent(inspect.getsource(source))).body[0]
+        body = ast.parse(textwrap.dedent(inspect.getsource(kind))).body[0]
         assert isinstance(body, ast.ClassDef)
         for field, below in pairwise(body.body):
             if isinstance(field, ast.AnnAssign) and isinstance(below, ast.Expr):
@@ -246,6 +246,7 @@ def _require_new_outputs(asked: Any) -> None:
 
     In a folder of footage, only a picture would be taken for one of its frames.
     """
+    kind: type = type(asked)
     given = {field.name: getattr(asked, field.name) for field in dataclasses.fields(asked)}
     flags = {field.name for field in dataclasses.fields(asked) if field.kw_only}
     written = {
@@ -253,7 +254,6 @@ def _require_new_outputs(asked: Any) -> None:
         for name, path in given.items()
         if name in _OUTPUTS and name in flags and isinstance(path, Path)
     }
-    kind: Any = type(asked)
     read = [
         (name, str(path))
         for name, hint in hints_of(kind).items()
