@@ -230,8 +230,7 @@ def meanings_of_fields(arguments: Any) -> dict[str, str]:
     for kind in kinds:
         if not hasattr(kind, "__dataclass_fields__"):
             continue
-        source: Any = kind
-        body = ast.parse(textwrap.dedent(inspect.getsource(source))).body[0]
+        body = ast.parse(textwrap.dedent(inspect.getsource(kind))).body[0]
         assert isinstance(body, ast.ClassDef)
         for field, below in pairwise(body.body):
             if isinstance(field, ast.AnnAssign) and isinstance(below, ast.Expr):
@@ -254,7 +253,6 @@ def _require_new_outputs(asked: Any) -> None:
         for name, path in given.items()
         if name in _OUTPUTS and name in flags and isinstance(path, Path)
     }
-    kind: Any = type(asked)
     read = [
         (name, str(path))
         for name, hint in hints_of(kind).items()
