@@ -3,7 +3,7 @@
 PYTHON := .venv/bin/python
 READY := .venv/.ready
 
-.PHONY: demo test test-slow ratios measure fuzz error-coverage lint docs lock clean
+.PHONY: demo test test-slow ratios measure dist fuzz error-coverage lint docs lock clean
 
 demo: $(READY)
 	$(PYTHON) -m vntoolkit demo --out out/demo --overwrite --jobs 2
@@ -59,6 +59,11 @@ lock: $(READY)
 	.venv/bin/uv pip compile --group docs --universal --python-version 3.11 \
 	    --generate-hashes --no-emit-index-url --upgrade --quiet --custom-compile-command "make lock" \
 	    --output-file docs/requirements.lock
+
+# Wheel and source archive, in out/dist.
+dist: $(READY)
+	rm -rf out/dist
+	$(PYTHON) -m hatchling build -d out/dist
 
 clean:
 	rm -rf .venv .venv-docs out

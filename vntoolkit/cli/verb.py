@@ -226,8 +226,9 @@ def _type_of_flag(hint: Any) -> Any:
 def meanings_of_fields(arguments: Any) -> dict[str, str]:
     """Return the docstring beneath each field of a class and of those it inherits from."""
     meanings: dict[str, str] = {}
-    for kind in reversed(arguments.__mro__):
-        if not dataclasses.is_dataclass(kind):
+    kinds: tuple[type, ...] = arguments.__mro__[::-1]
+    for kind in kinds:
+        if not hasattr(kind, "__dataclass_fields__"):
             continue
         body = ast.parse(textwrap.dedent(inspect.getsource(kind))).body[0]
         assert isinstance(body, ast.ClassDef)
@@ -245,6 +246,7 @@ def _require_new_outputs(asked: Any) -> None:
 
     In a folder of footage, only a picture would be taken for one of its frames.
     """
+    kind: type = type(asked)
     given = {field.name: getattr(asked, field.name) for field in dataclasses.fields(asked)}
     flags = {field.name for field in dataclasses.fields(asked) if field.kw_only}
     written = {
@@ -254,7 +256,7 @@ def _require_new_outputs(asked: Any) -> None:
     }
     read = [
         (name, str(path))
-        for name, hint in hints_of(type(asked)).items()
+        for name, hint in hints_of(kind).items()
         if name not in written and (name == "footage" or "PathLike" in str(hint))
         for path in (given[name] if isinstance(given[name], tuple) else (given[name],))
         if path is not None and str(path)
