@@ -14,6 +14,7 @@ from vntoolkit.photometry import transfer as transfers
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.rig import Rig
 
+CHANNELS = ("red", "green", "blue")
 FEW_PIXELS = 50_000  # of an averaged frame: enough for every statistic here, and a run starts within a second
 # … but not where found materials meet. What lies near seams is left out, and of narrow patches nothing
 # remained but some 60 pixels, in two places, which looked like turned lamps.
@@ -236,7 +237,9 @@ def lengths_of(vectors: Array) -> Array:
 
 
 def jackknife_error(left_out: FloatArray) -> FloatArray:
-    """Return the standard errors (k,) of what was estimated without each of b parts, (b, k)."""
+    """Return the standard errors (k,) of what was estimated without each of b parts, (b, k); 1 for none."""
+    if not len(left_out):
+        return np.ones(left_out.shape[1:])
     return np.asarray(np.sqrt((len(left_out) - 1) * left_out.var(axis=0)))
 
 

@@ -143,7 +143,7 @@ def _findings_from_plateau(frames: Sequence[LinearFrame], mask: Mask | None) -> 
 
     Light that is not clipped thins out towards its largest values.
     """
-    for channel, name in enumerate(("red", "green", "blue")):
+    for channel, name in enumerate(evidences.CHANNELS):
         shown = [frame.rgb[..., channel] if mask is None else frame.rgb[mask, channel] for frame in frames]
         values = np.concatenate([each.ravel() for each in shown])
         top = float(values.max(initial=0.0))

@@ -25,7 +25,7 @@ import cv2
 import numpy as np
 
 from vntoolkit.arrays import Array, Float32Array, FloatArray, Mask
-from vntoolkit.diagnosis.evidence import brightest_channel, silhouette
+from vntoolkit.diagnosis.evidence import SUBJECT, brightest_channel, silhouette
 from vntoolkit.diagnosis.finding import Finding
 from vntoolkit.photometry.frame import LinearFrame
 
@@ -99,17 +99,16 @@ def colour_is_interpolated(frame: LinearFrame) -> bool:
     """True where red and green differ more smoothly at every second pixel of a frame of full resolution."""
     rgb = np.asarray(frame.rgb, np.float32)
     brightest = cv2.GaussianBlur(brightest_channel(rgb), (0, 0), 2.0)
-    subject = np.asarray(
-        cv2.erode(silhouette(brightest, ~frame.clipped), np.ones((5, 5), np.uint8), borderValue=0)
-    )
+    subject: Mask = (brightest > SUBJECT * np.percentile(brightest[::4, ::4], 99)) & ~frame.clipped
+    inside = cv2.erode(subject.astype(np.uint8), np.ones((5, 5), np.uint8), borderValue=0) > 0
     difference = rgb[..., 0] - rgb[..., 1]
     beside = np.array([[0, 0.25, 0], [0.25, -1, 0.25], [0, 0.25, 0]], np.float32)
     rough = np.abs(cv2.filter2D(difference, -1, beside))
-    rough = np.minimum(rough, _MOST_ROUGH * float(np.median(rough[subject > 0])) if subject.any() else 0.0)
-    four = [(rough[v::2, u::2], subject[v::2, u::2] > 0) for v in range(2) for u in range(2)]
-    if min(int(inside.sum()) for _, inside in four) < _FEWEST:
+    rough = np.minimum(rough, _MOST_ROUGH * float(np.median(rough[inside])) if inside.any() else 0.0)
+    four = [(rough[v::2, u::2], inside[v::2, u::2]) for v in range(2) for u in range(2)]
+    if min(int(there.sum()) for _, there in four) < _FEWEST:
         return False
-    means = [float(values[inside].mean()) for values, inside in four]
+    means = [float(values[there].mean()) for values, there in four]
     return max(means) > _EVERY_SECOND * max(min(means), 1e-9)
 
 

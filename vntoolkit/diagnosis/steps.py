@@ -16,7 +16,7 @@ from itertools import combinations, pairwise
 import numpy as np
 
 from vntoolkit.arrays import Float32Array, FloatArray, Mask
-from vntoolkit.diagnosis.evidence import LARGEST_CHANGE, SUBJECT
+from vntoolkit.diagnosis.evidence import CHANNELS, LARGEST_CHANGE, SUBJECT
 from vntoolkit.diagnosis.finding import Finding
 from vntoolkit.diagnosis.subject import Survey
 from vntoolkit.photometry.fit_quality import angles_deg
@@ -30,8 +30,6 @@ _FEWEST_CHANGES = 3  # have a spread
 _FEWEST_IN_A_ROW = 6  # frames, to tell channels that were filmed apart
 _TELLING = 0.05  # of a log: what parts of the picture at rest leave by any lag
 _LAGS_TRIED = 6  # pairs of channels, each way round
-_LAMPS = 3
-_NAMES = ("red", "green", "blue")
 _FLIPS = {"left and right": (slice(None), slice(None, None, -1)), "top and bottom": (slice(None, None, -1),),
           "by 180 degrees": (slice(None, None, -1),) * 2}  # fmt: skip
 
@@ -90,7 +88,7 @@ def _lamp_steps(light: Float32Array, lit: Mask) -> Iterator[LampStep]:
     parts = _parts_of(light.shape[1:3])
     changes = [_changes_of_parts(light[k : k + 2], lit[k : k + 2], parts) for k in range(len(light) - 1)]
     shared = np.array([np.median(each, axis=0) if len(each) else np.zeros(3) for each in changes])
-    for lamp in range(_LAMPS):
+    for lamp in range(3):
         places = [
             k
             for k in _standing_out(shared[:, lamp])
@@ -132,7 +130,7 @@ def _standing_out(changes: FloatArray) -> list[int]:
     order, count = np.argsort(-np.abs(changes)), len(changes)
     left = np.append(np.cumsum((changes[order] ** 2)[::-1])[::-1], 0.0)[: count // 2 + 1]
     least = count * _ROUNDING**2
-    each = 0.5 * np.log(count) + np.log(_LAMPS * count)
+    each = 0.5 * np.log(count) + np.log(3 * count)
     costs = count / 2 * np.log(np.maximum(left, least)) + each * np.arange(len(left))
     return order[: int(np.argmin(costs))].tolist()
 
@@ -141,7 +139,7 @@ def _is_shared(changes: FloatArray, count: int) -> bool:
     """Tell whether parts (p,) change alike rather than by chance at one of so many places."""
     spread = float(np.sum((changes - changes.mean()) ** 2)) + len(changes) * _ROUNDING**2
     gain = len(changes) / 2 * np.log(np.sum(changes**2) / spread)
-    return bool(gain > 0.5 * np.log(len(changes)) + np.log(_LAMPS * count))
+    return bool(gain > 0.5 * np.log(len(changes)) + np.log(3 * count))
 
 
 def _turned_deg(light: Float32Array, step: LampStep, response: LightResponse) -> float:
@@ -164,7 +162,7 @@ def _finding_of_lamp(of_lamp: list[LampStep], numbers: list[int], turned_deg: fl
     worst = max((step.factor for step in of_lamp), key=lambda factor: abs(np.log(factor)))
     turns = "" if turned_deg is None else f", which turns normals by {turned_deg:.0f} degrees"
     measured = f"{worst:.2f} times the light against the other lamps{turns}"
-    channel, changes = _NAMES[of_lamp[0].lamp], f"{', '.join(shown)}{more}"
+    channel, changes = CHANNELS[of_lamp[0].lamp], f"{', '.join(shown)}{more}"
     return Finding.of("steps", channel=channel, changes=changes, measured=measured)
 
 
@@ -199,7 +197,7 @@ def _findings_of_lag(light: Float32Array, numbers: list[int]) -> Iterator[Findin
             if _mostly_more(same - apart) and _mostly_more(further - apart):
                 early, late = (first, second) if sign > 0 else (second, first)
                 share = np.exp(np.mean(apart - same))
-                yield Finding.of("steps/lag", late=_NAMES[late], early=_NAMES[early], share=share)
+                yield Finding.of("steps/lag", late=CHANNELS[late], early=CHANNELS[early], share=share)
 
 
 def _mostly_more(logs: FloatArray) -> bool:

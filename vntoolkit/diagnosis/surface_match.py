@@ -20,6 +20,7 @@ import numpy as np
 
 from vntoolkit.arrays import BoolArray, Float32Array, FloatArray, Matrix3
 from vntoolkit.diagnosis.evidence import (
+    CHANNELS,
     FEWEST_PIXELS,
     STEEPEST,
     Evidence,
@@ -47,7 +48,6 @@ _SEVERAL_COLOURS = 0.1  # of the subject beside such steps
 _LAG_PX = 4
 _LEAST_COHERENCE = 0.25
 _FLATTEST_DEG = 2.5
-_CHANNELS = ("red", "green", "blue")
 
 
 def check_structure(evidence: Evidence) -> list[Finding]:
@@ -433,7 +433,7 @@ def _relatives(evidence: Evidence, own: _Sums) -> Iterator[_Reading]:
     saved = "was the footage saved in another channel order, such as BGR? save it as RGB"
     for order in _orders():
         mix = np.eye(3)[list(order)]
-        yield from looked_at(f"with {_exchanged(order, _CHANNELS)}", saved, mix, None)
+        yield from looked_at(f"with {_exchanged(order, CHANNELS)}", saved, mix, None)
     transposed = evidence.inverse_of(evidence.rig.response.matrix.T)
     by_axis = "write M with a row per channel and a column per axis"
     yield from looked_at("with M transposed", by_axis, None, transposed)
