@@ -73,7 +73,7 @@ DOORS = {
 LINES = {
     "(root)": 1960,
     "calibration": 4690,
-    "cli": 3420,
+    "cli": 3410,
     "diagnosis": 4380,
     "evaluation": 1140,
     "geometry": 1800,
