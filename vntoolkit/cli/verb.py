@@ -253,6 +253,7 @@ def _require_new_outputs(asked: Any) -> None:
         for name, path in given.items()
         if name in _OUTPUTS and name in flags and isinstance(path, Path)
     }
+    kind: Any = type(asked)
     read = [
         (name, str(path))
         for name, hint in hints_of(kind).items()
