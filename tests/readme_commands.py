@@ -60,9 +60,8 @@ def steps_of(readme: str) -> list[Step]:
         if language == "python":
             steps.append(Step("python", body, first))
         elif language == "sh":
-            steps += [
-                Step("sh", text, first + offset) for offset, text in _commands(body) if not _is_comment(text)
-            ]
+            commands = [(k, text) for k, text in _commands(body) if not text.startswith("#")]
+            steps += [Step("sh", text, first + offset) for offset, text in commands]
     return steps
 
 
@@ -82,10 +81,6 @@ def _commands(body: str) -> list[tuple[int, str]]:
             commands.append((start, pending))
         pending = ""
     return commands
-
-
-def _is_comment(text: str) -> bool:
-    return text.startswith("#")
 
 
 def run_step(step: Step, folder: Path) -> str:

@@ -1,6 +1,7 @@
 """Stages refuse arrays and scenes that they cannot work on, by one line: what is wrong, and what to do."""
 
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -30,8 +31,9 @@ from vntoolkit.options.dressing import GarmentFitOptions
 from vntoolkit.options.export import MeshUpAxis
 from vntoolkit.options.simulation import Lighting, Nuisances, SceneOptions
 from vntoolkit.photometry.response import LightResponse, rgb_from_normals
+from vntoolkit.simulation.image_formation import true_response
 from vntoolkit.simulation.lights import WAVELENGTHS_NM, Lights
-from vntoolkit.simulation.scene import build_scene
+from vntoolkit.simulation.scene import Scene, build_scene
 from vntoolkit.skinning.fitting import fit_garment_to_figure
 from vntoolkit.tracking.template import template_from_maps
 
@@ -57,98 +59,104 @@ def test_colours_that_no_light_explains(rng):
         fit_response(normals, np.abs(rng.normal(size=(300, 3))), options)
 
 
-def test_balls_that_are_not_in_sight():
-    circle = Circle(centre_px=np.array([900.0, 900.0]), radius_px=9.0, points_px=np.zeros((0, 2)), arc=1.0)
-    with pytest.raises(BadCalibration, match="the ball lies outside the image"):
-        sphere_normals(circle, ORTHOGRAPHIC)
-    point = np.tile([31.5, 23.5], (9, 1)) + 1e-9
-    circle = Circle(centre_px=np.array([31.5, 23.5]), radius_px=9.0, points_px=point, arc=1.0)
-    with pytest.raises(BadCalibration, match=r"is not that of a ball seen by this camera"):
-        sphere_normals(circle, PINHOLE)
+def outline(centre_px: float, points_px: np.ndarray) -> Circle:
+    return Circle(centre_px=np.full(2, centre_px), radius_px=9.0, points_px=points_px, arc=1.0)
 
 
-def test_cylinders_that_are_none(rng):
-    with pytest.raises(SolverFailed, match="frame 3 shows a plane, its normals span no axis"):
-        axis_from_normals(np.tile([0, 0, -1.0], (99, 1)), 0.1, rng, "frame 3")
-    every = rng.normal(size=(4000, 3))
+def axis_from_sphere() -> None:
+    every = np.random.default_rng(0).normal(size=(4000, 3))
     every /= np.linalg.norm(every, axis=1, keepdims=True)
-    with pytest.raises(SolverFailed, match="less than a third of the normals agree on an axis; is a"):
-        axis_from_normals(every, 0.1, rng, "frame 3")
+    axis_from_normals(every, 0.1, np.random.default_rng(1), "frame 3")
 
 
-def test_tracks_are_judged_by_the_camera_that_filmed():
-    with pytest.raises(BadInput, match="the perspective camera that the truth was filmed with"):
-        anchors_on_mesh(np.zeros((1, 2)), np.eye(3), TRIANGLE, ORTHOGRAPHIC)
-
-
-def test_meshes_without_triangles_cannot_be_cleaned():
-    with pytest.raises(BadMesh, match="mesh: no triangle to clean"):
-        clean_mesh(Mesh(vertices=np.eye(3), faces=np.zeros((0, 3), np.int32)))
-
-
-def test_templates_of_another_size_or_without_a_surface():
-    depth = DepthMap(depth=np.ones((48, 64)), mask=np.ones((48, 64), dtype=bool))
-    with pytest.raises(BadInput, match="template is 64×48 but the camera is 9×9"):
-        template_from_maps(flat_map(), depth, Camera.orthographic(width=9, height=9))
-    empty = DepthMap(depth=np.ones((48, 64)), mask=np.zeros((48, 64), dtype=bool))
-    with pytest.raises(BadInput, match=r"no valid pixel with normal and depth; choose another frame"):
-        template_from_maps(flat_map(), empty, ORTHOGRAPHIC)
+def template(valid: bool, camera: Camera) -> None:
+    depth = DepthMap(depth=np.ones((48, 64)), mask=np.full((48, 64), valid))
+    template_from_maps(flat_map(), depth, camera)
 
 
 def figure() -> Motion:
     skeleton = Skeleton(
         names=("hips", "chest"), parents=np.array([-1, 0]), offsets=np.array([[0, 0, 0], [0, 0.5, 0]])
     )
-    turns = np.tile([0, 0, 0, 1.0], (1, 2, 1))
     return Motion(
         skeleton=skeleton,
-        rotations=turns,
+        rotations=np.tile([0, 0, 0, 1.0], (1, 2, 1)),
         root_positions=np.zeros((1, 3)),
         frame_rate_hz=30,
         metres_per_unit=1.0,
     )
 
 
-def test_garments_that_do_not_fit_the_figure():
+def fitted(fit: GarmentFit) -> None:
     flat = Mesh(vertices=np.array([[0, 0, 0], [1, 0, 0], [0, 0, 1.0]]), faces=TRIANGLE)
-    with pytest.raises(BadInput, match="fit: bind_frame 9 is not among the 1 frames"):
-        fit_garment_to_figure(flat, figure(), GarmentFit(bind_frame=9), GarmentFitOptions())
-    with pytest.raises(BadInput, match=r"the garment has no height \(its vertices share one y\)"):
-        fit_garment_to_figure(flat, figure(), GarmentFit(), GarmentFitOptions())
+    fit_garment_to_figure(flat, figure(), fit, GarmentFitOptions())
 
 
-def lamps(count: int, power: float = 1.0) -> Lights:
-    return Lights(
-        positions=np.tile([0, 0, -1.0], (count, 1)),
-        spectra=np.full((count, len(WAVELENGTHS_NM)), power),
-        ambient_spectrum=np.zeros(len(WAVELENGTHS_NM)),
-    )
+def one_lamp() -> Lights:
+    spectra = np.ones((1, len(WAVELENGTHS_NM)))
+    return Lights(positions=np.array([[0, 0, -1.0]]), spectra=spectra, ambient_spectrum=0 * spectra[0])
 
 
-def test_lamps_and_nuisances_that_are_not_there():
-    single = next(lighting for lighting in Lighting if lighting.value.endswith("3"))
-    with pytest.raises(BadInput, match=f"lighting {single.value}: the scene has 1 lights"):
-        lamps(1).under(single)
-    with pytest.raises(BadInput, match="nuisance 'cheese': expected one of near_lights"):
-        Nuisances().only("cheese")
+def scene(**changed: object) -> Scene:
+    return replace(build_scene("sphere", SceneOptions(width=32, height=24)), **changed)
 
 
-def test_scenes_that_cannot_be_filmed():
-    from dataclasses import replace
+def response_in_black() -> None:
+    black = np.zeros_like(scene().surface.reference_weights)
+    true_response(scene(surface=replace(scene().surface, reference_weights=black)), Nuisances.none())
 
-    from vntoolkit.simulation.image_formation import true_response
 
-    scene = build_scene("sphere", SceneOptions(width=32, height=24))
-    with pytest.raises(BadInput, match="scene sphere: expected a perspective camera, at the origin"):
-        replace(scene, camera=ORTHOGRAPHIC)
-    with pytest.raises(BadInput, match="scene sphere: expected at least one frame and a positive frame rate"):
-        replace(scene, frame_count=0)
-    surface = replace(scene.surface, reference_weights=np.zeros_like(scene.surface.reference_weights))
-    with pytest.raises(BadInput, match="its reference material reflects none of the light"):
-        true_response(replace(scene, surface=surface), Nuisances.none())
-    texture = np.ones((2, 2, len(scene.surface.pigments)))
-    with pytest.raises(BadInput, match=r"a texture or detail needs uv, \(m, 3, 2\) per face corner"):
-        replace(scene.surface, texture=texture, uv=None)
+def textured_without_places() -> None:
+    texture = np.ones((2, 2, len(scene().surface.pigments)))
+    replace(scene().surface, texture=texture, uv=None)
+
+
+def usd_of_a_figure_with_z_up() -> None:
+    mesh = Mesh(vertices=np.eye(3), faces=TRIANGLE)
+    write_usd_sequence("b.usdc", mesh, [], frame_rate_hz=30, motion=figure(), up=MeshUpAxis.Z)
+
+
+SMALL = Camera.orthographic(width=9, height=9)
+FACING = np.tile([0, 0, -1.0], (99, 1))
+RNG = np.random.default_rng(0)
+SINGLE = next(lighting for lighting in Lighting if lighting.value.endswith("3"))
+REFUSALS = [
+    (lambda: sphere_normals(outline(900.0, np.zeros((0, 2))), ORTHOGRAPHIC), BadCalibration,
+     "the ball lies outside the image"),
+    (lambda: sphere_normals(outline(23.5, np.tile([31.5, 23.5], (9, 1)) + 1e-9), PINHOLE), BadCalibration,
+     "is not that of a ball seen by this camera"),
+    (lambda: axis_from_normals(FACING, 0.1, RNG, "frame 3"), SolverFailed,
+     "frame 3 shows a plane, its normals span no axis"),
+    (axis_from_sphere, SolverFailed, "less than a third of the normals agree on an axis; is a"),
+    (lambda: anchors_on_mesh(np.zeros((1, 2)), np.eye(3), TRIANGLE, ORTHOGRAPHIC), BadInput,
+     "the perspective camera that the truth was filmed with"),
+    (lambda: clean_mesh(Mesh(vertices=np.eye(3), faces=TRIANGLE[:0])), BadMesh, "mesh: no triangle to clean"),
+    (lambda: template(True, SMALL), BadInput, "template is 64×48 but the camera is 9×9"),
+    (lambda: template(False, ORTHOGRAPHIC), BadInput,
+     "no valid pixel with normal and depth; choose another frame"),
+    (lambda: fitted(GarmentFit(bind_frame=9)), BadInput, "fit: bind_frame 9 is not among the 1 frames"),
+    (lambda: fitted(GarmentFit()), BadInput, r"the garment has no height \(its vertices share one y\)"),
+    (lambda: one_lamp().under(SINGLE), BadInput, f"lighting {SINGLE.value}: the scene has 1 lights"),
+    (lambda: Nuisances().only("cheese"), BadInput, "nuisance 'cheese': expected one of near_lights"),
+    (lambda: Nuisances().without("dust"), BadInput, "nuisance 'dust': expected one of"),
+    (lambda: build_scene("board", SceneOptions(sample="cheese")), BadInput,
+     "no scene 'cheese' to take a sample from"),
+    (lambda: scene(camera=ORTHOGRAPHIC), BadInput,
+     "scene sphere: expected a perspective camera, at the origin"),
+    (lambda: scene(frame_count=0), BadInput,
+     "scene sphere: expected at least one frame and a positive frame rate"),
+    (response_in_black, BadInput, "its reference material reflects none of the light"),
+    (textured_without_places, BadInput, r"a texture or detail needs uv, \(m, 3, 2\) per face corner"),
+    (usd_of_a_figure_with_z_up, BadInput, "a skeleton is written with y up only"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("call", "error", "line"), REFUSALS, ids=[line for _, _, line in REFUSALS])
+def test_a_stage_refuses_by_a_line_what_it_cannot_work_on(tmp_path, monkeypatch, call, error, line):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(error, match=line):
+        call()
+    assert not list(tmp_path.iterdir())
 
 
 def test_libraries_that_are_not_there_are_named_with_the_line_that_installs_them(monkeypatch):
@@ -188,13 +196,3 @@ def test_a_library_that_only_the_loader_names_is_named(monkeypatch, said, line):
     monkeypatch.setattr(native.importlib, "import_module", refuse)
     with pytest.raises(MissingDependency, match=rf"pymeshlab needs {said.split(':')[0]}, .*: {line}"):
         native.import_pymeshlab()
-
-
-def test_usd_files_that_hold_no_surface_of_ours(tmp_path):
-    from pxr import Usd
-
-    stage = Usd.Stage.CreateNew(str(tmp_path / "a.usdc"))  # a layer dies with its stage
-    stage.GetRootLayer().Save()
-    mesh = Mesh(vertices=np.eye(3), faces=TRIANGLE)
-    with pytest.raises(BadInput, match="a skeleton is written with y up only"):
-        write_usd_sequence(tmp_path / "b.usdc", mesh, [], frame_rate_hz=30, motion=figure(), up=MeshUpAxis.Z)

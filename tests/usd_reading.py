@@ -31,3 +31,12 @@ def read_usd_sequence(path: Path) -> MeshSequence:
         uv=uv,
     )
     return MeshSequence(template=template, vertices=vertices, frame_rate_hz=stage.GetTimeCodesPerSecond())
+
+
+def complaints(path: Path) -> list[str]:
+    """Return what USD's own validator finds wrong."""
+    from pxr import Usd, UsdValidation
+
+    registry = UsdValidation.ValidationRegistry()
+    context = UsdValidation.ValidationContext(registry.GetOrLoadAllValidators())
+    return [error.GetMessage() for error in context.Validate(Usd.Stage.Open(str(path)))]

@@ -112,27 +112,19 @@ def test_same_seed_same_fit(rng) -> None:
 def test_refusals(rng) -> None:
     normals = hemisphere(rng, 200, 40)
     rgb = rgb_from_normals(normals, RESPONSE)
-    with pytest.raises(BadCalibration, match="no light in the red, green, blue"):
-        fit_response(normals, np.zeros((200, 3)))
-    with pytest.raises(BadCalibration, match="every pixel is clipped"):
-        fit_response(normals, rgb, clipped=np.ones(200, bool))
-    with pytest.raises(BadCalibration, match="no pixel"):
-        fit_response(normals[:0], rgb[:0])
-    with pytest.raises(BadCalibration, match="only 2 lit"):
-        fit_response(normals[:2], rgb[:2])
-    with pytest.raises(BadCalibration, match="do not determine"):
-        fit_response(np.tile(normals[:1], (50, 1)), np.tile(rgb[:1], (50, 1)))
-    one_colour = LightResponse(matrix=RESPONSE.matrix).matrix[[0, 0, 0]]
-    with pytest.raises(BadCalibration, match="singular"):
-        fit_response(normals, normals @ one_colour.T)
-    with pytest.raises(BadCalibration, match="none of 2000 samples"):
-        fit_response(
-            np.tile(normals[:1], (50, 1)),
-            np.tile(rgb[:1], (50, 1)),
-            ResponseFitOptions(method=FitMethod.MSAC),
-            rng=rng,
-        )
-    with pytest.raises(BadInput, match="random generator"):
-        fit_response(normals, rgb, ResponseFitOptions(method=FitMethod.MSAC))
-    with pytest.raises(BadInput, match="colours: expected shape 200 × 3"):
-        fit_response(normals, rgb[:100])
+    one, same = np.tile(normals[:1], (50, 1)), np.tile(rgb[:1], (50, 1))
+    one_colour = RESPONSE.matrix[[0, 0, 0]]
+    by_draws = ResponseFitOptions(method=FitMethod.MSAC)
+    for error, line, given, named in (
+        (BadCalibration, "no light in the red, green, blue", (normals, np.zeros((200, 3))), {}),
+        (BadCalibration, "every pixel is clipped", (normals, rgb), {"clipped": np.ones(200, bool)}),
+        (BadCalibration, "no pixel", (normals[:0], rgb[:0]), {}),
+        (BadCalibration, "only 2 lit", (normals[:2], rgb[:2]), {}),
+        (BadCalibration, "do not determine", (one, same), {}),
+        (BadCalibration, "singular", (normals, normals @ one_colour.T), {}),
+        (BadCalibration, "none of 2000 samples", (one, same, by_draws), {"rng": rng}),
+        (BadInput, "random generator", (normals, rgb, by_draws), {}),
+        (BadInput, "colours: expected shape 200 × 3", (normals, rgb[:100]), {}),
+    ):
+        with pytest.raises(error, match=line):
+            fit_response(*given, **named)

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from tests.calibration.test_head_refinement import skin_of
 from tests.calibration.turning_egg import AXES, CAMERA, DISTANCE, egg_surface, turning_poses
 from vntoolkit.calibration.head.positions import PositionSolver
 from vntoolkit.calibration.head.rims import RimTargets, rim_targets
 from vntoolkit.calibration.head.samples import LightFrame
-from vntoolkit.calibration.head.skin import SkinNormals
 from vntoolkit.geometry.mesh import Mesh, vertex_normals
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
@@ -92,15 +92,7 @@ def test_what_is_farther_off_than_four_pixels_is_no_rim_of_this_contour():
 
 def test_held_vertices_go_to_their_places_and_take_their_neighbours_along():
     mesh = egg()
-    skin = SkinNormals(
-        normals=mesh.normals,
-        albedo=np.ones_like(mesh.vertices),
-        noise=np.full(len(mesh.vertices), 0.01),
-        scaled=mesh.normals,
-        weight=np.ones((1, len(mesh.vertices)), np.float32),
-        agrees=np.ones((1, len(mesh.vertices)), bool),
-    )
-    solver = PositionSolver(mesh.vertices, mesh.faces, skin, 200 * PIXEL)
+    solver = PositionSolver(mesh.vertices, mesh.faces, skin_of(mesh.normals, 0.01), 200 * PIXEL)
     ring = np.abs(mesh.normals[:, 2]) < 0.05
     places = mesh.vertices + PIXEL * mesh.normals
     density = (0.5 * PIXEL) ** 2 * (16 * PIXEL) ** 2  # stereo is off by half a pixel over 16 by 16

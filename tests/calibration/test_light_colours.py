@@ -96,24 +96,27 @@ def test_known_lights_make_m() -> None:
 
 def test_refusals(rng) -> None:
     frames = photographs(rng)
-    with pytest.raises(BadInput, match="albedo: expected a positive number, got -1"):
-        response_from_lights(DIRECTIONS, COLOURS, LightColours.GIVEN, albedo=-1.0)
-    with pytest.raises(BadCalibration, match="three photographs"):
-        fit_light_colours(frames[:2])
-    with pytest.raises(BadCalibration, match="same colour"):
-        fit_light_colours([frames[0], frames[0], frames[2]])
     black = LinearFrame(rgb=np.zeros((60, 80, 3)), clipped=np.zeros((60, 80), bool))
-    with pytest.raises(BadCalibration, match="photograph of the green light is black"):
-        fit_light_colours([frames[0], black, frames[2]])
-    with pytest.raises(BadInput, match="one size"):
-        fit_light_colours(frames, np.ones((60, 81), bool))
-    flat = DIRECTIONS.copy()
-    flat[2] = flat[0] + flat[1]
-    with pytest.raises(BadCalibration, match="singular"):
-        response_from_lights(flat, None, LightColours.CHANNELS)
-    with pytest.raises(BadCalibration, match="no intensities"):
-        response_from_lights(DIRECTIONS, None, LightColours.GIVEN)
-    with pytest.raises(BadCalibration, match="length 0"):
-        response_from_lights(np.zeros((3, 3)), None, LightColours.CHANNELS)
-    with pytest.raises(BadCalibration, match="negative"):
-        response_from_lights(DIRECTIONS, -COLOURS, LightColours.GIVEN)
+    first, _, third = frames
+    for error, line, given in (
+        (BadCalibration, "three photographs", (frames[:2],)),
+        (BadCalibration, "same colour", ([first, first, third],)),
+        (BadCalibration, "photograph of the green light is black", ([first, black, third],)),
+        (BadInput, "one size", (frames, np.ones((60, 81), bool))),
+    ):
+        with pytest.raises(error, match=line):
+            fit_light_colours(*given)
+    flat = np.array([DIRECTIONS[0], DIRECTIONS[1], DIRECTIONS[0] + DIRECTIONS[1]])
+    for error, line, given in (
+        (
+            BadInput,
+            "albedo: expected a positive number, got -1",
+            (DIRECTIONS, COLOURS, LightColours.GIVEN, -1.0),
+        ),
+        (BadCalibration, "singular", (flat, None, LightColours.CHANNELS)),
+        (BadCalibration, "no intensities", (DIRECTIONS, None, LightColours.GIVEN)),
+        (BadCalibration, "length 0", (np.zeros((3, 3)), None, LightColours.CHANNELS)),
+        (BadCalibration, "negative", (DIRECTIONS, -COLOURS, LightColours.GIVEN)),
+    ):
+        with pytest.raises(error, match=line):
+            response_from_lights(*given)

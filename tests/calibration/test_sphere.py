@@ -100,32 +100,31 @@ def test_outline_is_found_to_a_fraction_of_a_pixel_in_spite_of_a_neighbour(rng) 
 def test_refusals(rng) -> None:
     camera, centre, radius = BALLS["orthographic"]
     frame, mask = draw_ball(camera, centre, radius, rng)
-    black = LinearFrame(rgb=np.zeros_like(frame.rgb), clipped=frame.clipped)
-    with pytest.raises(BadCalibration, match="black"):
-        fit_response_to_sphere(black, camera)
-    white = LinearFrame(rgb=np.ones_like(frame.rgb), clipped=~frame.clipped)
-    with pytest.raises(BadCalibration, match="clipped"):
-        fit_response_to_sphere(white, camera)
     stripes = np.zeros_like(frame.rgb)
     stripes[20:160, 100:110] = 0.5
-    with pytest.raises(BadCalibration, match="no ball found"):
-        fit_response_to_sphere(LinearFrame(rgb=stripes, clipped=frame.clipped), camera)
-    with pytest.raises(BadCalibration, match="not a circle"):
-        fit_response_to_sphere(frame, camera, stripes[..., 0] > 0)
-    with pytest.raises(BadInput, match="mask: expected shape 180 × 240"):
-        fit_response_to_sphere(frame, camera, mask[:-1])
-    with pytest.raises(BadInput, match="mask is empty"):
-        fit_response_to_sphere(frame, camera, np.zeros_like(mask))
-    grey = LinearFrame(rgb=np.repeat(frame.rgb[..., :1], 3, axis=2), clipped=frame.clipped)
-    with pytest.raises(BadCalibration, match="singular"):
-        fit_response_to_sphere(grey, camera, mask)
+    grey = np.repeat(frame.rgb[..., :1], 3, axis=2)
 
+    def of(rgb, clipped=frame.clipped):
+        return LinearFrame(rgb=rgb, clipped=clipped)
 
-def test_a_mask_beside_the_ball_is_refused(rng) -> None:
-    camera, centre, radius = BALLS["orthographic"]
-    frame, mask = draw_ball(camera, centre, radius, rng)
-    with pytest.raises(BadCalibration, match=r"mask lies beside the ball by \(-9, -?0\) pixels"):
-        fit_response_to_sphere(frame, camera, np.roll(mask, 9, axis=1))
+    for error, line, *given in (
+        (BadCalibration, "black", of(np.zeros_like(frame.rgb)), camera),
+        (BadCalibration, "clipped", of(np.ones_like(frame.rgb), ~frame.clipped), camera),
+        (BadCalibration, "no ball found", of(stripes), camera),
+        (BadCalibration, "not a circle", frame, camera, stripes[..., 0] > 0),
+        (BadInput, "mask: expected shape 180 × 240", frame, camera, mask[:-1]),
+        (BadInput, "mask is empty", frame, camera, np.zeros_like(mask)),
+        (BadCalibration, "singular", of(grey), camera, mask),
+        (
+            BadCalibration,
+            r"mask lies beside the ball by \(-9, -?0\) pixels",
+            frame,
+            camera,
+            np.roll(mask, 9, 1),
+        ),
+    ):
+        with pytest.raises(error, match=line):
+            fit_response_to_sphere(*given)
     fit_response_to_sphere(frame, camera, np.roll(mask, 1, axis=1))  # a mask by hand
 
 

@@ -62,20 +62,20 @@ def made_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_one_runs_by_name_with_its_own_arguments(made_up: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    recipe.run("good", "--quick", out=made_up / "out")
+    recipe.run_command("good", "--quick", out=made_up / "out")
     assert json.loads((made_up / "out" / "numbers.json").read_text())[0]["ours"] == 21.0
     assert "answer: 21 (in paper: 40)" in capsys.readouterr().out
     with pytest.raises(BadInput, match="no footage"):
-        recipe.run("bad", "--quick", out=made_up / "out")
+        recipe.run_command("bad", "--quick", out=made_up / "out")
     assert "bad has no shorter form: it runs in full" in capsys.readouterr().out
     with pytest.raises(BadInput, match=r"expected all, or one of good, bad$"):
-        recipe.run("other")
+        recipe.run_command("other")
     with pytest.raises(BadInput, match=r"one of good, bad; did you mean good\?$"):
-        recipe.run("goood")
+        recipe.run_command("goood")
 
 
 def test_all_run_and_the_one_that_fails_is_named(made_up: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    recipe.run("all", "--quick", "--data", "nowhere", out=made_up / "all")
+    recipe.run_command("all", "--quick", "--data", "nowhere", out=made_up / "all")
     page = (made_up / "all" / "recipes.html").read_text()
     assert "answer" in page
     assert "bad: no footage" in page

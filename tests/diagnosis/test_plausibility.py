@@ -8,7 +8,7 @@ import pytest
 from tests.faults.simulated_captures import H, W, simulate_capture
 from vntoolkit.__main__ import main
 from vntoolkit.calibration.fit import fit_response
-from vntoolkit.diagnosis.inspection import findings_from_capture
+from vntoolkit.diagnosis.inspection import examine_capture
 from vntoolkit.diagnosis.outline import finding_from_axes, warn_of_flipped_axes
 from vntoolkit.diagnosis.rig_checks import check_coverage
 from vntoolkit.geometry.maps import NormalMap
@@ -42,7 +42,8 @@ def _stored(folder, frames, curve="linear", bits=8):
 
 
 def _findings(folder, rig, mask=None):
-    return findings_from_capture(open_capture(folder, CaptureOptions(transfer=rig.transfer)), rig, mask)
+    capture = open_capture(folder, CaptureOptions(transfer=rig.transfer))
+    return examine_capture(capture, rig, mask).findings
 
 
 def _found(tmp_path, spoil, text, **simulation):

@@ -7,7 +7,7 @@ from tests.faults.simulated_captures import simulate_capture
 from tests.io.footage.test_stated_facts import film
 from vntoolkit.diagnosis import evidence
 from vntoolkit.diagnosis.evidence import averaged_down
-from vntoolkit.diagnosis.inspection import findings_from_capture, frames_to_compare
+from vntoolkit.diagnosis.inspection import examine_capture, frames_to_compare
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.io.footage.captures import CaptureOptions, open_capture
 from vntoolkit.io.footage.video import write_video
@@ -53,7 +53,7 @@ def test_frames_averaged_down_tell_the_same(tmp_path, monkeypatch, seed):
 
     def findings(name):
         opened = open_capture(tmp_path / name, CaptureOptions(transfer=capture.rig.transfer))
-        return findings_from_capture(opened, capture.rig, capture.subject)
+        return examine_capture(opened, capture.rig, capture.subject).findings
 
     assert findings("right.mkv") == []
     (found,) = findings("swapped.mkv")

@@ -27,6 +27,7 @@ from vntoolkit.io.maps_and_meshes.maps import (
     write_normal_map,
 )
 from vntoolkit.io.maps_and_meshes.meshes import write_mesh, write_point_cloud
+from vntoolkit.io.maps_and_meshes.usd import write_usd_sequence
 from vntoolkit.io.results.frame_log import FrameEntry, FrameLog
 from vntoolkit.live.capture import CameraSource
 from vntoolkit.pipeline.calibrate_presses import read_press_label
@@ -36,6 +37,10 @@ PLANE = np.ones((4, 5), dtype=np.float32)
 ALL = np.ones((4, 5), dtype=bool)
 FLAT = NormalMap(normals_in_camera=np.tile(np.float32([0, 0, -1]), (4, 5, 1)), mask=ALL)
 LEVEL = DepthMap(depth=PLANE, mask=ALL)
+
+
+def usd_at_rate(path, frame_rate_hz):
+    write_usd_sequence(path, TRIANGLE, [], frame_rate_hz=frame_rate_hz)
 
 
 @pytest.mark.parametrize(
@@ -71,6 +76,8 @@ LEVEL = DepthMap(depth=PLANE, mask=ALL)
         (lambda p: write_bytes(".", b""), CannotWrite, "is a folder"),
         (lambda p: write_bytes("/", b""), CannotWrite, "is a folder"),
         (lambda p: write_bytes("", b""), CannotWrite, "is a folder"),
+        (lambda p: usd_at_rate(p / "a.abc", 60), BadInput, r"ends in \.usdc or \.usd"),
+        (lambda p: usd_at_rate(p / "a.usdc", 0), BadInput, "positive frame rate"),
         (lambda p: write_video(p / "a.mp4", [], 30), CannotWrite, r"a name that ends in \.mkv"),
         (lambda p: write_video(p / "a.mkv", [], 30), BadCapture, "no frame to write"),
         (lambda p: write_video(p / "a.mkv", [PLANE], 30), BadCapture, r"uint16 frames, got \(4, 5\) float32"),

@@ -15,7 +15,7 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 
-from tests.pipeline.conftest import RESPONSE, dome_normals
+from tests.pipeline.conftest import RIG, dome_light
 from tests.report.test_viewer import free_port
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
@@ -27,23 +27,19 @@ from vntoolkit.live.page import LiveViewer, PacketSizes, camera_block
 from vntoolkit.meshing.surface import mesh_from_depth
 from vntoolkit.options.depth import MeshOptions
 from vntoolkit.options.pages import ViewerOptions
-from vntoolkit.photometry.response import rgb_from_normals
-from vntoolkit.photometry.rig import Rig
 from vntoolkit.report.scene import depth_block, depth_box, normals_block, place_of
 
 FIGURES = LiveFigures(arrived=1, processed=1, dropped=0, failed=0, rate_hz=0.0, latency_s=(0.0, 0.0))
 
 
 def dome_frame(number: int = 0) -> EncodedFrame:
-    normals, mask = dome_normals(31.5)
-    rgb = np.where(mask[..., None], rgb_from_normals(normals, RESPONSE), 0)
-    values = np.round(rgb.clip(0, 1) * 255).astype(np.uint8)
+    values = np.round(dome_light() * 255).astype(np.uint8)
     return EncodedFrame(values=values, bits=8, number=number, name=f"frame {number}")
 
 
 @pytest.fixture(scope="module")
 def dome() -> tuple[LiveResult, Camera]:
-    processor = LiveProcessor(Rig(camera=Camera.orthographic(width=64, height=48), response=RESPONSE))
+    processor = LiveProcessor(RIG)
     return processor.process(dome_frame()), processor.depth_camera
 
 

@@ -7,10 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pxr import Usd, UsdGeom, UsdValidation
+from pxr import Usd, UsdGeom
 
 from tests.dome_result import DomeResult, dome_result
 from tests.skinning.test_glb_export import accessor, chunks
+from tests.usd_reading import complaints
 from vntoolkit.errors import BadInput
 from vntoolkit.evaluation.angular_error import angles_between_deg
 from vntoolkit.evaluation.mesh_comparison import mesh_distance
@@ -45,11 +46,6 @@ FRAMES = FrameRange.from_text("0:3")
 def exported(result: DomeResult, out: Path | None, to: ExportFormat, **options: object) -> Path:
     job = ExportJob(folder=result.folder, options=ExportOptions(to=to, **options), out=out, frames=FRAMES)
     return export(job).out
-
-
-def complaints(path: Path) -> list[str]:
-    context = UsdValidation.ValidationContext(UsdValidation.ValidationRegistry().GetOrLoadAllValidators())
-    return [error.GetMessage() for error in context.Validate(Usd.Stage.Open(str(path)))]
 
 
 def points_of(path: Path, time: float) -> np.ndarray:

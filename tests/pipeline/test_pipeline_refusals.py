@@ -10,7 +10,7 @@ import pytest
 
 from recipes.real_objects import read_capture
 from tests.dome_result import DomeResult, dome_result
-from tests.pipeline.conftest import SIZE, DomeCapture
+from tests.pipeline.conftest import RESPONSE, SIZE, DomeCapture
 from tests.result_files import write_mesh_sequence
 from vntoolkit.__main__ import main
 from vntoolkit.errors import BadCalibration, BadCapture, BadInput, BadMotion
@@ -82,13 +82,7 @@ def _write_track_truth(folder: Path, frames: int) -> None:
     )
     write_mesh_sequence(truth, moving)
     camera = Camera.pinhole(width=SIZE[1], height=SIZE[0], focal_px=60.0)
-    write_rig(truth / "rig.json", Rig(camera=camera, response=_response()))
-
-
-def _response():
-    from tests.pipeline.conftest import RESPONSE
-
-    return RESPONSE
+    write_rig(truth / "rig.json", Rig(camera=camera, response=RESPONSE))
 
 
 def test_tracks_and_a_truth_that_do_not_match(result, tmp_path, capsys):

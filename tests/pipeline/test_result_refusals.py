@@ -55,24 +55,22 @@ def test_every_verb_says_that_recorded_frames_are_gone(result, tmp_path, caplog)
     (result / "normals/000001.exr").unlink()
     (result / "normals/000002.exr").unlink()
     (result / "depth/000005.exr").unlink()
-    verbs = [
-        ["track", str(result), "--out", str(tmp_path / "t")],
-        ["export", str(result), "--to", "png"],
-        ["view", str(result), "--html", str(tmp_path / "v.html"), "--frames", "0:5"],
-        ["report", str(result)],
-        ["evaluate", "cylinder", str(result), "--out", str(tmp_path / "e")],
-    ]
-    for arguments in verbs:
+    verbs = (
+        f"track {result} --out {tmp_path}/t",
+        f"export {result} --to png",
+        f"view {result} --html {tmp_path}/v.html --frames 0:5",
+        f"report {result}",
+        f"evaluate cylinder {result} --out {tmp_path}/e",
+    )
+    for verb in verbs:
         caplog.clear()
-        main(arguments)
+        main(verb.split())
         said = caplog.text
-        assert said.count("frames 1 to 2 are recorded as done, but files in normals are gone") == 1, arguments
-        assert said.count("frame 5 is recorded as done, but files in depth are gone") == (
-            arguments[0] != "view"
-        )
+        assert said.count("frames 1 to 2 are recorded as done, but files in normals are gone") == 1, verb
+        assert said.count("frame 5 is recorded as done, but files in depth are gone") == (verb[:4] != "view")
         assert "run `vntoolkit reconstruct` again: it makes what is missing" in said
     (result / "frames.log").unlink()
-    main(verbs[1])
+    main(verbs[1].split())
     assert "incomplete: frames.log is gone" in caplog.text
 
 

@@ -40,16 +40,20 @@ def sensor(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def corners() -> list[str]:
-    left, top, right, bottom = MARGIN, MARGIN, MARGIN + WIDTH, MARGIN + HEIGHT
-    values = [left, top, right, top, left, bottom, right, bottom]
-    return ["--corners", *map(str, values), "--size-mm", str(WIDTH / 10), str(HEIGHT / 10)]
+LEFT, RIGHT, BOTTOM = MARGIN, MARGIN + WIDTH, MARGIN + HEIGHT
+CORNERS = f"--corners {LEFT} {LEFT} {RIGHT} {LEFT} {LEFT} {BOTTOM} {RIGHT} {BOTTOM}"
+PLANE = f"{CORNERS} --size-mm {WIDTH / 10} {HEIGHT / 10} --pixel-mm 0.1"
 
 
-def calibrate(sensor: Path, rig: Path, *more: str, ball_mm: str = "2.4") -> int:
-    files = [str(sensor / "presses"), "--background", str(sensor / "background.png"), "--out", str(rig)]
-    ball = ["--ball-radius-mm", ball_mm, "--pixel-mm", "0.1"]
-    return main(["calibrate", "presses", *files, *ball, *corners(), *more])
+def calibrate(sensor: Path, rig: Path, *more: str, ball_mm: str = "2.4", presses: str = "") -> int:
+    source = presses or f"{sensor}/presses"
+    files = f"{source} --background {sensor}/background.png --out {rig} --ball-radius-mm {ball_mm}"
+    return main([*f"calibrate presses {files} {PLANE}".split(), *more])
+
+
+def reconstruct(sensor: Path, frame: str, rig: Path, out: Path) -> int:
+    files = f"{sensor}/{frame} --rig {rig} --background {sensor}/background.png"
+    return main(f"reconstruct {files} --to depth --out {out}".split())
 
 
 def test_a_sensor_from_presses_without_labels_to_depth_and_contact(sensor, tmp_path, capsys):
@@ -60,18 +64,17 @@ def test_a_sensor_from_presses_without_labels_to_depth_and_contact(sensor, tmp_p
     assert "4.8 mm across" in told
     assert "negative in a dent" in told
     assert read_rig(rig).footage_size == (WIDTH + 2 * MARGIN, HEIGHT + 2 * MARGIN)
-    rectify = ["rectify", str(sensor / "touched.png"), "--out", str(tmp_path / "flat")]
-    assert main([*rectify, "--rig", str(rig)]) == 0
+    rectify = f"rectify {sensor}/touched.png --out {tmp_path}/flat"
+    assert main(f"{rectify} --rig {rig}".split()) == 0
     assert "next: vntoolkit calibrate presses" in capsys.readouterr().out
     own = read_image(tmp_path / "flat" / "000000.png")
     assert own.shape == (HEIGHT, WIDTH, 3)
-    assert main([*rectify, "--overwrite", "--pixel-mm", "0.1", *corners()]) == 0
+    assert main(f"{rectify} --overwrite {PLANE}".split()) == 0
     np.testing.assert_array_equal(read_image(tmp_path / "flat" / "000000.png"), own)
-    assert main([*rectify, "--overwrite"]) == 1
+    assert main(f"{rectify} --overwrite".split()) == 1
     assert "or the --rig of a tactile gel" in capsys.readouterr().err
-    run = ["--rig", str(rig), "--background", str(sensor / "background.png"), "--to", "depth"]
     out = tmp_path / "out"
-    assert main(["reconstruct", str(sensor / "touched.png"), *run, "--out", str(out)]) == 0
+    assert reconstruct(sensor, "touched.png", rig, out) == 0
     normal_map = read_normal_map(out / "normals" / "000000.exr")
     normals, error_deg = normal_map.normals_in_camera, normal_map.error_deg
     inside = np.hypot(U - 60, V - 90) < 15
@@ -102,8 +105,7 @@ def test_a_sensor_from_presses_without_labels_to_depth_and_contact(sensor, tmp_p
 def test_the_dark_flank_of_a_sharp_rim_is_no_dot(sensor: Path, tmp_path: Path) -> None:
     rig, out = tmp_path / "rig.json", tmp_path / "out"
     assert calibrate(sensor, rig) == 0
-    run = ["--rig", str(rig), "--background", str(sensor / "background.png"), "--to", "depth"]
-    assert main(["reconstruct", str(sensor / "sharp.png"), *run, "--out", str(out)]) == 0
+    assert reconstruct(sensor, "sharp.png", rig, out) == 0
     depth_mm = 1000 * read_depth_map(out / "depth" / "000000.exr").depth
     # The cap's height is known; so is the area within which it is a third deep.
     assert depth_mm[90, 60] == pytest.approx(-(2.4 - np.sqrt(2.4**2 - 1.8**2)), abs=0.1)
@@ -114,11 +116,10 @@ def test_the_dark_flank_of_a_sharp_rim_is_no_dot(sensor: Path, tmp_path: Path) -
 def test_an_untouched_gel_is_flat_and_a_missing_background_is_said(sensor, tmp_path, capsys):
     rig = tmp_path / "rig.json"
     assert calibrate(sensor, rig) == 0
-    background = str(sensor / "background.png")
-    run = ["reconstruct", background, "--rig", str(rig), "--to", "depth", "--out", str(tmp_path / "flat")]
-    assert main(run) == 1
+    flat = tmp_path / "flat"
+    assert main(f"reconstruct {sensor}/background.png --rig {rig} --to depth --out {flat}".split()) == 1
     assert "give the photograph of the untouched gel with --background" in capsys.readouterr().err
-    assert main([*run, "--background", background]) == 0
+    assert reconstruct(sensor, "background.png", rig, flat) == 0
     assert np.ptp(read_depth_map(tmp_path / "flat" / "depth" / "000000.exr").depth) == 0
     assert (tmp_path / "flat" / "contact.csv").read_text().splitlines()[1] == "0,0.000,0.0000"
 
@@ -169,9 +170,7 @@ def test_a_diameter_given_as_the_radius_and_clipped_presses_are_said(sensor, tmp
     for path in sorted((sensor / "presses").iterdir())[:3]:
         values = read_image(path).astype(int)
         write_png(tmp_path / "bright" / path.name, np.minimum(3 * values, 255).astype(np.uint8))
-    files = [str(tmp_path / "bright"), "--background", str(sensor / "background.png")]
-    ball = ["--ball-radius-mm", "2.4", "--pixel-mm", "0.1", *corners()]
-    assert main(["calibrate", "presses", *files, *ball, "--out", str(tmp_path / "b.json")]) == 1
+    assert calibrate(sensor, tmp_path / "b.json", presses=f"{tmp_path}/bright") == 1
     assert "[clipping]" in capsys.readouterr().err
 
 

@@ -88,10 +88,10 @@ REFUSALS = [
     ("bvh", ("6 Xposition", "6 Wposition"), "line 5: expected 6 .* got 'Wposition'"),
     ("bvh", ("3 Zrotation", "3 Xrotation"), "line 9: .* got 'Xrotation'"),
     ("bvh", ("CHANNELS 3", "CHANNELS 9"), "line 9: expected 0 to 6 channels, got '9'"),
-    ("bvh", ("1 2 3 0 0 0 90", "1 nan 3 0 0 0 90"), "line 18: expected a finite number, got 'nan'"),
-    ("bvh", ("0 0 0 90 0 0", "0 0 0 1e999 0 0"), "line 18: expected a finite number, got '1e999'"),
+    ("bvh", ("1 2 3 0 0 0 90", "1 nan 3 0 0 0 90"), "line 19: expected a finite number, got 'nan'"),
+    ("bvh", ("0 0 0 90 0 0", "0 0 0 1e999 0 0"), "line 19: expected a finite number, got '1e999'"),
     ("bvh", ("OFFSET 0 1 0", "OFFSET 0 nan 0"), "line 4: expected a finite number, got 'nan'"),
-    ("bvh", ("90 0 0", "90 zero 0"), "line 18: expected a number, got 'zero'"),
+    ("bvh", ("90 0 0", "90 zero 0"), "line 19: expected a number, got 'zero'"),
     ("bvh", ("90 0 0", "90,5 0.5 0"), "both commas and points"),
     ("bvh", ("JOINT Chest", "JOINT Hips"), r"line 7: joint 'Hips' occurs twice or has no name \(a cycle\?\)"),
     ("bvh", ("JOINT Chest", "JOINT"), "has no name"),
@@ -105,7 +105,8 @@ REFUSALS = [
     ("bvh", ("Frames: 2", "Frames: 0"), "expected at least one frame"),
     ("bvh", ("Time: 0.01", "Time: -0.01"), "expected a frame time above 0 s"),
     ("bvh", ("Frame Time: 0.01\n", ""), "expected 'Frames: N' and 'Frame Time: SECONDS'"),
-    ("bvh", SPINE_GROWS.replace("0 0 0 90 0 0", "0 0 0 2"), "line 6: joint 'Chest' moves by 1 against"),
+    ("bvh", SPINE_GROWS.replace("0 0 0 90 0 0", "0 0 0 2"),
+     "line 6: joint 'Chest' moves by 1 against its parent"),
     ("bvh", NO_JOINT_POSITION, "line 6: the positions of joint 'Chest' are all 0"),
     ("bvh", "HIERARCHY " + "x" * 10**6 + BVH[9:], "line 1: expected ROOT"),
     ("asf", "", "empty"),
@@ -160,7 +161,7 @@ def test_a_flood_of_joints_is_refused_in_bounded_memory(tmp_path: Path) -> None:
             file.write(f"JOINT j{number}\n{{\nOFFSET 0 1 0\nCHANNELS 3 Zrotation Yrotation Xrotation\n")
     assert path.stat().st_size > 25e6
     tracemalloc.start()
-    with pytest.raises(BadMotion, match="more than 256 joints"):
+    with pytest.raises(BadMotion, match="a chain of more than 256 joints"):
         read_bvh(path)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()

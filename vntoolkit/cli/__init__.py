@@ -54,22 +54,7 @@ GROUPS: dict[str, str] = {
     "evaluate": "Compare results with ground truth.",
 }
 
-# verb -> function of the command, where it is not named as the last word of the verb
-_COMMANDS = {
-    "rectify": "calibrate:rectify_command",
-    "data": "schema:data",
-    "demo": "demo:demo_command",
-    "simulate": "simulate:simulate_command",
-    "reconstruct": "reconstruct:reconstruct_command",
-    "photometric-stereo": "photometric_stereo:photometric_stereo_command",
-    "integrate": "integrate:integrate_command",
-    "track": "track:track_command",
-    "session": "session:session_command",
-    "view": "view:view_command",
-    "export": "export:export_command",
-    "dress": "dress:dress_command",
-    "recipe list": "recipe:list_",
-}
+_FILES = {"rectify": "calibrate", "data": "schema"}  # of verbs; the others are in the file of their name
 
 # What `--help` ends with: a call that works on one's own files.
 EXAMPLES: dict[str, str] = {
@@ -130,7 +115,8 @@ def build_app(arguments: Sequence[str] = ()) -> App:
     }
     for verb, line in VERBS.items():
         *group, name = verb.split()
-        target = f"vntoolkit.cli.{_COMMANDS.get(verb, f'{verb.split()[0]}:{name}')}"
+        file = _FILES.get(verb, verb.split()[0]).replace("-", "_")
+        target = f"vntoolkit.cli.{file}:{name.replace('-', '_')}_command"
         shown = None if list(arguments[: len(group) + 1]) == verb.split() else line
         parent = groups[group[0]] if group else app
         parent.command(target, name=name, help=shown, help_epilogue=f"Example: `{EXAMPLES[verb]}`")

@@ -34,4 +34,4 @@ def write_board(asked: BoardArguments) -> Path:
     return out
 
 
-board = command(write_board)
+board_command = command(write_board)

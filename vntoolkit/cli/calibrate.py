@@ -455,9 +455,9 @@ def _report_rectified(
     print_next("calibrate", "presses", str(asked.out), "--background", "gel.png", *ball, "--out", "gel.json")
 
 
-sphere = command(calibrate_sphere)
-board = command(calibrate_board)
-lights = command(calibrate_lights)
-head = command(calibrate_head)
-presses = command(calibrate_presses)
+sphere_command = command(calibrate_sphere)
+board_command = command(calibrate_board)
+lights_command = command(calibrate_lights)
+head_command = command(calibrate_head)
+presses_command = command(calibrate_presses)
 rectify_command = command(rectify)

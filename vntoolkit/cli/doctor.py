@@ -101,7 +101,7 @@ def inspect_footage(asked: DoctorArguments) -> CaptureReport:
 
 
 @partial(command, inspect_footage)
-def doctor(asked: DoctorArguments) -> int:
+def doctor_command(asked: DoctorArguments) -> int:
     """Print what was found; 1 where something is broken or fatal."""
     if asked.source is None:
         return _check_libraries(Console())

@@ -449,8 +449,8 @@ def _print_what_is_next(measured: Path) -> None:
             return
 
 
-normals = command(evaluate_normal_files)
-mesh = command(evaluate_mesh)
-cylinder = command(evaluate_cylinder)
-tracks = command(evaluate_tracks)
-integration = command(evaluate_integration)
+normals_command = command(evaluate_normal_files)
+mesh_command = command(evaluate_mesh)
+cylinder_command = command(evaluate_cylinder)
+tracks_command = command(evaluate_tracks)
+integration_command = command(evaluate_integration)

@@ -122,7 +122,7 @@ def watch(asked: LiveArguments) -> list[Path]:
     return files
 
 
-live = command(watch)
+live_command = command(watch)
 
 
 def _watch(

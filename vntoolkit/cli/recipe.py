@@ -21,17 +21,17 @@ _EXPERIMENTS = ("Figure", "Table")  # first words of the summary; other recipes 
 
 def run_recipe(name: str, *arguments: str, out: Path | str | None = None) -> None:
     """Run one recipe by its name, or all; arguments are its own options, such as "--quick"."""
-    run(name, *arguments, out=None if out is None else Path(out))
+    run_command(name, *arguments, out=None if out is None else Path(out))
 
 
-def list_() -> None:
+def list_command() -> None:
     """Print the name and the purpose of every recipe."""
     rows = [[name, summary_of(path)] for name, path in recipes().items()]
     print_table("vntoolkit recipe run NAME", ["recipe", "what"], rows, names=2)
     print_next("recipe", "run", next(iter(recipes())), "--quick")
 
 
-def run(
+def run_command(
     name: str,
     /,
     *arguments: Annotated[str, Parameter(allow_leading_hyphen=True)],

@@ -39,7 +39,7 @@ def write_report(asked: ReportArguments) -> Path:
 
 
 @partial(command, write_report)
-def report(asked: ReportArguments) -> None:
+def report_command(asked: ReportArguments) -> None:
     """Print the page's name and what comes next."""
     folder = Path(asked.folder)
     if asked.json:

@@ -17,7 +17,7 @@ def json_schema(file: Literal["rig", "reconstruction"] = "rig") -> dict[str, Any
     return (RigFile if file == "rig" else Manifest).model_json_schema()
 
 
-def schema(file: Literal["rig", "reconstruction"] = "rig", /) -> int:
+def schema_command(file: Literal["rig", "reconstruction"] = "rig", /) -> int:
     """Print the JSON schema of a file: every key with its meaning and unit.
 
     Parameters
@@ -48,7 +48,7 @@ def copy_data(name: str, out: Path | str | None = None) -> Path:
     return target
 
 
-def data(name: str = "", /, *, out: Path | None = None) -> None:
+def data_command(name: str = "", /, *, out: Path | None = None) -> None:
     """Copy a file that the package ships into this folder, such as the walk that `dress` plays.
 
     Parameters

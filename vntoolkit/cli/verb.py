@@ -246,7 +246,6 @@ def _require_new_outputs(asked: Any) -> None:
 
     In a folder of footage, only a picture would be taken for one of its frames.
     """
-    kind: type = type(asked)
     given = {field.name: getattr(asked, field.name) for field in dataclasses.fields(asked)}
     flags = {field.name for field in dataclasses.fields(asked) if field.kw_only}
     written = {
@@ -254,6 +253,7 @@ def _require_new_outputs(asked: Any) -> None:
         for name, path in given.items()
         if name in _OUTPUTS and name in flags and isinstance(path, Path)
     }
+    kind: Any = type(asked)
     read = [
         (name, str(path))
         for name, hint in hints_of(kind).items()

@@ -23,20 +23,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from vntoolkit.arrays import FloatArray
-from vntoolkit.diagnosis.evidence import Evidence, brightest_channel, lengths_of
-from vntoolkit.diagnosis.finding import Finding, Level, certainty_from_z
+from vntoolkit.diagnosis.evidence import FEWEST_PIXELS, Evidence, brightest_channel, lengths_of
+from vntoolkit.diagnosis.finding import CLEAR_Z, Finding, Level, certainty_from_z
 from vntoolkit.diagnosis.surface_pixels import (
     SurfacePixels,
     regress_lengths,
     spread_of_lengths,
     surface_pixels,
 )
+from vntoolkit.photometry.fit_quality import angles_deg
 from vntoolkit.photometry.transfer import encoded_from_linear, linear_from_encoded
 
 _DARKEST_PERCENT = 1.0  # of the picture: single pixels are noise's
-_FEWEST_PIXELS = 400
-_ROUNDS = 4
-_Z = 4.0
 _SLOPES = (0.5, 1.6)  # above it the subject has more of it than the darkest place
 # A black backdrop proves no stretch. Its size is known: statues with deep folds have 1.4 ± 0.2 to 4.0 ± 0.3.
 _SLOPES_OF_STRETCH, _Z_OF_STRETCH = (0.8, 1.2), 8.0
@@ -53,13 +51,20 @@ _TAIL, _NOTED_DEG = 95.0, 2.0
 def check_black_level(evidence: Evidence) -> list[Finding]:
     """Find light on every pixel that is none of the lamps', and video read in another range than it has."""
     darkest = np.percentile(evidence.light.reshape(-1, 3), _DARKEST_PERCENT, axis=0)
-    pixels = surface_pixels(evidence, lambda k, _: evidence.surface[k])
-    if len(pixels) < _FEWEST_PIXELS:
+    pixels = surface_pixels(evidence)
+    if len(pixels) < FEWEST_PIXELS:
         return []
-    for problem, remedy, undo, slopes, z in _readings(evidence, darkest):
+    for name, undo, slopes, z in _readings(evidence, darkest):
         found = _undoing(pixels, undo)
         if found is not None and max(slopes[0], z * found.error) < found.slope < slopes[1]:
-            return [_finding(problem, remedy, darkest, found)]
+            red, green, blue = (f"{value:.1%}" for value in darkest)
+            measured = (
+                f"{red} red, {green} green, {blue} blue in the darkest places, {found.slope:.2f} ± "
+                f"{found.error:.2f} times what they foretell on the subject: normals turn by "
+                f"{found.turn_deg:.1f} degrees"
+            )
+            sure = certainty_from_z(found.slope / max(found.error, 1e-6))
+            return [Finding.of(name, certainty=sure, measured=measured)]
     return []
 
 
@@ -68,8 +73,8 @@ _Undo = Callable[[FloatArray], FloatArray]
 
 def _readings(
     evidence: Evidence, darkest: FloatArray
-) -> Iterator[tuple[str, str, _Undo, tuple[float, float], float]]:
-    """Yield problem, remedy, what undoes it, range of slopes and errors from 0, of darkest places (3,)."""
+) -> Iterator[tuple[str, _Undo, tuple[float, float], float]]:
+    """Yield the finding, what undoes it, range of slopes and errors from 0, of darkest places (3,)."""
     transfer = evidence.transfer
     black = encoded_from_linear(darkest, transfer)
     white = encoded_from_linear(np.array([brightest_channel(evidence.light).max()]), transfer)[0]
@@ -82,46 +87,21 @@ def _readings(
 
     if np.all(np.abs(black - _BLACK) < _BESIDE) and white < _WHITE + _BESIDE:
         yield (
-            "the footage looks of limited range, read as full",
-            "convert it with ffmpeg -vf scale=in_range=limited:out_range=full",
+            "black-level/limited",
             in_codes(lambda codes: (codes - _BLACK) / stretch),
             _SLOPES,
-            _Z,
+            CLEAR_Z,
         )
     if np.all(black < 0.5 * _BESIDE):
         yield (
-            "the footage looks of full range, read as limited",
-            "mark the file as of full range (ffmpeg -c copy -color_range pc, or a re-encoding with "
-            "scale=in_range=full)",
+            "black-level/full",
             in_codes(lambda codes: codes * stretch + _BLACK),
             _SLOPES_OF_STRETCH,
             _Z_OF_STRETCH,
         )
     constant = np.maximum(darkest - evidence.rig.response.ambient, 0.0)
     if constant.any():
-        yield (
-            "light that is none of the lamps' lies on the whole picture, the subject too",
-            "darken the room and shade the lens, or film once with the lamps off and give that picture with "
-            "--background",
-            lambda light: light - constant,
-            _SLOPES,
-            _Z,
-        )
-
-
-def _finding(problem: str, remedy: str, darkest: FloatArray, found: "_Undone") -> Finding:
-    red, green, blue = (f"{value:.1%}" for value in darkest)
-    return Finding(
-        check="black-level",
-        level=Level.WARNING,
-        problem=problem,
-        measured=f"{red} red, {green} green, {blue} blue in the darkest places, {found.slope:.2f} ± "
-        f"{found.error:.2f} times what they foretell on the subject: normals turn by {found.turn_deg:.1f} "
-        "degrees",
-        expected="0 times",
-        remedy=remedy,
-        certainty=certainty_from_z(found.slope / max(found.error, 1e-6)),
-    )
+        yield "black-level", lambda light: light - constant, _SLOPES, CLEAR_Z
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -135,16 +115,14 @@ class _Undone:
 
 def _undoing(pixels: SurfacePixels, undo: _Undo) -> _Undone | None:
     """Return what tells that light (n, 3) must be undone; None where nothing does, or normals hardly turn."""
-    scaled, undone = pixels.scaled_normals(pixels.rgb), pixels.scaled_normals(undo(pixels.rgb))
-    lengths = np.maximum(lengths_of(scaled), 1e-12)
-    cosines = (scaled * undone).sum(axis=1) / (lengths * np.maximum(lengths_of(undone), 1e-12))
-    turn_deg = math.degrees(float(np.median(np.arccos(np.clip(cosines, -1.0, 1.0)))))
+    undone = pixels.scaled_normals(undo(pixels.rgb))
+    turn_deg = float(np.median(angles_deg(pixels.scaled, undone)))
     if turn_deg < _NOTED_TURN_DEG:
         return None
     # of the directions alone: dark paint is no light that is missing
-    colours = pixels.colours(scaled * (np.median(lengths) / lengths)[:, None])
+    colours = pixels.colours(pixels.normals * math.exp(np.median(pixels.log_lengths)))
     foretold = -np.log(np.maximum(lengths_of(pixels.scaled_normals(undo(colours))), 1e-12))
-    found = regress_lengths(foretold[:, None], np.log(lengths), pixels, _ROUNDS)
+    found = regress_lengths(foretold[:, None], pixels.log_lengths, pixels)
     if found is None:
         return None
     slope, error = float(found.slopes[0]), float(found.errors[0])
@@ -153,19 +131,14 @@ def _undoing(pixels: SurfacePixels, undo: _Undo) -> _Undone | None:
 
 def check_gloss(evidence: Evidence) -> list[Finding]:
     """Find highlights of the lamps on the subject."""
-    pixels = surface_pixels(evidence, lambda k, _: evidence.surface[k])
-    if len(pixels) < _FEWEST_PIXELS:
+    pixels = surface_pixels(evidence)
+    if len(pixels) < FEWEST_PIXELS or spread_of_lengths(pixels.scaled, pixels.frames) > _PAINTED:
         return []
-    scaled = pixels.scaled_normals(pixels.rgb)
-    lengths = np.maximum(lengths_of(scaled), 1e-12)
-    normals = scaled / lengths[:, None]
-    if spread_of_lengths(scaled, pixels.frames) > _PAINTED:
-        return []
+    normals = pixels.normals
     added = _highlights(evidence, pixels, normals)
-    (x, y, z), (u, v) = normals.T, pixels.positions.T
-    slowly = [x, y, x * x - z * z, y * y - z * z, x * y, x * z, y * z, u, v, u * u, v * v, u * v]
     longer = (added * normals).sum(axis=1)
-    found = regress_lengths(np.column_stack([longer, *slowly]), np.log(lengths), pixels, _ROUNDS)
+    slowly = [*normals.T[:2], *pixels.of_wrong_m, *pixels.of_uneven_light]
+    found = regress_lengths(np.column_stack([longer, *slowly]), pixels.log_lengths, pixels)
     if found is None:
         return []
     strength, error = float(found.slopes[0]), max(float(found.errors[0]), 1e-3)
@@ -173,17 +146,9 @@ def check_gloss(evidence: Evidence) -> list[Finding]:
         return []
     turns = strength * lengths_of(added - longer[:, None] * normals)
     turn_deg = float(np.degrees(np.percentile(turns, _TAIL)))
+    level, sure = Level.WARNING if turn_deg > _NOTED_DEG else Level.NOTE, certainty_from_z(strength / error)
     return [
-        Finding(
-            check="gloss",
-            level=Level.WARNING if turn_deg > _NOTED_DEG else Level.NOTE,
-            problem="the surface is glossy: highlights pull normals towards the lamps, one in twenty by "
-            f"{turn_deg:.0f} degrees and more",
-            measured=f"highlights of {strength:.0%} ± {error:.1%} of the matte light",
-            expected=f"less than {_LEAST:.0%}",
-            remedy="powder the surface, or put crossed polarising filters before lamps and camera",
-            certainty=certainty_from_z(strength / error),
-        )
+        Finding.of("gloss", level=level, certainty=sure, turn_deg=turn_deg, strength=strength, error=error)
     ]
 
 

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from vntoolkit.arrays import Mask
-from vntoolkit.diagnosis.finding import Finding, Level
+from vntoolkit.diagnosis.finding import Finding
 from vntoolkit.geometry.maps import NormalMap
 
 LARGE_ERROR_DEG = 20.0  # in the median, as of pixels that one light hardly reaches
@@ -36,15 +36,12 @@ class Backdrop:
     @property
     def finding(self) -> Finding:
         """What is said of it."""
-        return Finding(
-            check="backdrop",
-            level=Level.WARNING,
-            problem=f"a backdrop counts as subject: {self.share:.0%} of the normals lie in a region at the "
-            "picture's border that tells hardly any",
-            measured=f"an expected error of {self.region_deg:.0f} degrees in the region, "
-            f"{self.subject_deg:.0f} on the subject, medians",
-            expected=f"below {LARGE_ERROR_DEG:g} all over",
-            remedy=f"give --mask; {MASK_NAME} in the result's folder is a proposal, look at it first",
+        return Finding.of(
+            "backdrop",
+            share=self.share,
+            region_deg=self.region_deg,
+            subject_deg=self.subject_deg,
+            mask=MASK_NAME,
         )
 
 

@@ -50,16 +50,7 @@ def check_mask(evidence: Evidence) -> list[Finding]:
     within, without = float(lit[inside].mean()), float(lit[outside].mean())
     if within >= _LEAST_LIT or without <= 2 * within:
         return []
-    return [
-        Finding(
-            check="mask",
-            level=Level.FATAL,
-            problem="the mask covers the dark and leaves out what is lit",
-            measured=f"{within:.0%} lit inside the mask, {without:.0%} outside",
-            expected=f"{_LEAST_LIT:.0%} or more inside",
-            remedy="the mask is inverted or of other footage: white is the subject; invert it",
-        )
-    ]
+    return [Finding.of("mask", within=within, without=without)]
 
 
 # Each group is asked only where no check of a group before it found more than a note: a mask on the backdrop

@@ -8,18 +8,24 @@ from functools import cached_property
 import cv2
 import numpy as np
 
-from vntoolkit.arrays import Array, BoolArray, Float32Array, FloatArray, Int64Array, Mask, Matrix3
+from vntoolkit.arrays import Array, BoolArray, ByteArray, Float32Array, FloatArray, Int64Array, Mask, Matrix3
 from vntoolkit.materials.paint_levels import in_one_paint
 from vntoolkit.photometry import transfer as transfers
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.rig import Rig
 
+CHANNELS = ("red", "green", "blue")
 FEW_PIXELS = 50_000  # of an averaged frame: enough for every statistic here, and a run starts within a second
 # … but not where found materials meet. What lies near seams is left out, and of narrow patches nothing
 # remained but some 60 pixels, in two places, which looked like turned lamps.
 PIXELS_BETWEEN_SEAMS = 200_000
 _LIT = 0.3  # of the length that the brightest twentieth exceeds: what is darker is backdrop or in shadow
-_SUBJECT = 0.1  # of the brightest hundredth of the picture: dark paint is surface, too
+SUBJECT = 0.1  # of the brightest hundredth of the picture: dark paint is surface, too
+NARROWEST_PX = 16  # of an averaged frame: a strip has no slopes to compare
+FEWEST_PIXELS = 400  # that a statistic of a surface rests on
+STEEPEST = 0.15  # least cosine between a normal that counts and the viewing ray
+LARGEST_CHANGE = 0.02  # of the light; 2 % in one channel turn a normal by about half a degree
+_CLOSING_PX = 5  # of a silhouette
 _LEAST_SHARE = 0.06  # of the strongest lamp's light: the rest may be shadow
 _LEAST_CHANNEL = 0.01  # of full scale; below it noise and the black level decide the colour
 _BLOCKS = 6  # along each side: standard errors come from leaving out one of 36 blocks …
@@ -108,7 +114,7 @@ class Evidence:
     def levelled(self) -> "Evidence":
         """The same footage as if its subject were of one paint; the steps of paint are told without M."""
         brightest = brightest_channel(self.light)
-        subject = self.inside & ~self.clipped & (brightest > _SUBJECT * np.percentile(brightest, 99))
+        subject = self.inside & ~self.clipped & (brightest > SUBJECT * np.percentile(brightest, 99))
         levelled = [
             in_one_paint(LinearFrame(rgb=light, clipped=clipped), there, self.rig.response)
             for light, clipped, there in zip(self.light, self.clipped, subject, strict=True)
@@ -228,6 +234,24 @@ def lengths_of(vectors: Array) -> Array:
     """Return the lengths of vectors of two or three components, the last axis."""
     total = vectors[..., 0] ** 2 + vectors[..., 1] ** 2
     return np.asarray(np.sqrt(total + vectors[..., 2] ** 2 if vectors.shape[-1] == 3 else total))
+
+
+def jackknife_error(left_out: FloatArray) -> FloatArray:
+    """Return the standard errors (k,) of what was estimated without each of b parts, (b, k); 1 for none."""
+    if not len(left_out):
+        return np.ones(left_out.shape[1:])
+    return np.asarray(np.sqrt((len(left_out) - 1) * left_out.var(axis=0)))
+
+
+def silhouette(brightest: Array, inside: Mask | None) -> ByteArray:
+    """Return (h, w), the subject by its brightness, inside a mask, without gaps and specks, as 0 and 1."""
+    subject = (brightest > SUBJECT * np.percentile(brightest[::4, ::4], 99)).astype(np.uint8)
+    if inside is not None:
+        subject &= inside.astype(np.uint8)
+    kernel = np.ones((_CLOSING_PX, _CLOSING_PX), np.uint8)
+    for operation in (cv2.MORPH_CLOSE, cv2.MORPH_OPEN):
+        subject = np.asarray(cv2.morphologyEx(subject, operation, kernel), np.uint8)
+    return subject
 
 
 def _resized(image: Float32Array, size: tuple[int, int]) -> Float32Array:

@@ -5,56 +5,13 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import Enum
+from typing import Self
 
 from vntoolkit.errors import BadInput, VntError
 
 logger = logging.getLogger(__name__)
 _SUREST = 0.999  # a certainty is capped here: the model behind it is no surer
-
-# What `--allow` takes: every name that a finding can have.
-CHECK_NAMES: dict[str, str] = {
-    "backdrop": "a backdrop that counts as subject",
-    "background": "a picture of the untouched gel that is none, or of another session",
-    "black": "frames without a subject",
-    "blur": "a picture out of focus, or of something that moved too fast",
-    "black-level": "light on every pixel that is none of the lamps', or another range than the file's",
-    "bits": "few bits per sample",
-    "camera": "a camera that no lens can be",
-    "chroma": "colour at a lower resolution than brightness",
-    "clipping": "pixels at the white level",
-    "codec": "a lossy codec",
-    "condition": "M multiplies noise",
-    "cone": "a calibration that saw few directions",
-    "contacts": "contacts of a ball that are no circles",
-    "corners": "a gel seen aslant, without its corners",
-    "cut-off": "a file that ends early",
-    "drift": "exposure or white balance that changes while filming",
-    "dim": "footage that uses little of the range",
-    "flat": "a subject without shape",
-    "flicker": "light that goes up and down from frame to frame",
-    "gaps": "files of a sequence that are missing",
-    "gloss": "a surface that reflects the lamps",
-    "grey": "footage without colour",
-    "jump": "a subject that moves too far between two frames",
-    "labels": "labels of presses that do not lie on the dents",
-    "lamps": "lamps behind the surface",
-    "lost": "a surface that tracking has lost",
-    "mask": "a mask off the subject",
-    "near-lamps": "lamps that stand near, where M is one for the whole picture",
-    "noise": "footage of no surface",
-    "outline": "a surface turned inside out",
-    "relatives": "M mirrored, turned, transposed or with exchanged channels",
-    "residual": "a calibration that contradicts its samples",
-    "sharpening": "a picture that was sharpened",
-    "size": "frames of another size than the rig's",
-    "steps": "a lamp, a channel or the picture that changes at once",
-    "stray": "files that are no frames",
-    "tag": "a transfer curve that the file states against the one it is read with",
-    "times": "times of frames that cannot be",
-    "transfer": "a transfer curve that is not the footage's",
-    "white-balance": "other gains of the channels than at calibration",
-    "zoom": "another focal length than at calibration",
-}
+CLEAR_Z = 4.0  # standard errors from chance, from which most checks say something
 
 
 class Level(Enum):
@@ -82,6 +39,23 @@ class Finding:
     expected: str
     remedy: str
     certainty: float = 1.0
+
+    @classmethod
+    def of(cls, name: str, *, level: Level | None = None, certainty: float = 1.0, **values: object) -> Self:
+        """Return the finding `name` of the table, with what was measured; level: another than its usual."""
+        from vntoolkit.diagnosis.table import TABLE  # only a run that finds something loads it
+
+        usual, *texts = TABLE[name]
+        problem, measured, expected, remedy = (text.format(**values) for text in texts)
+        return cls(
+            check=name.partition("/")[0],
+            level=level or Level(usual),
+            problem=problem,
+            measured=measured,
+            expected=expected,
+            remedy=remedy,
+            certainty=certainty,
+        )
 
     @property
     def text(self) -> str:
@@ -129,6 +103,8 @@ def judge(findings: Iterable[Finding], allowed: Iterable[str] = ()) -> None:
 
 def require_known_checks(allowed: Iterable[str]) -> None:
     """Raise `BadInput` for a name that is no check's."""
+    from vntoolkit.diagnosis.table import CHECK_NAMES
+
     for name in allowed:
         if name not in CHECK_NAMES:
             raise BadInput(

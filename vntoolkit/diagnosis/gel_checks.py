@@ -3,7 +3,7 @@
 import numpy as np
 
 from vntoolkit.arrays import FloatArray
-from vntoolkit.diagnosis.finding import Finding, Level
+from vntoolkit.diagnosis.finding import Finding
 from vntoolkit.geometry.maps import DepthMap
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.tactile.contact import contact_from_depth
@@ -19,16 +19,7 @@ def check_channels(colours: FloatArray, reference: FloatArray, whose: str, of: s
     if order == (0, 1, 2):
         return []
     came = ", ".join(_CHANNELS[k] for k in order)
-    return [
-        Finding(
-            check="relatives",
-            level=Level.FATAL,
-            problem=f"{whose} fits {of} with exchanged channels",
-            measured=f"{came} in place of red, green, blue",
-            expected="red, green, blue",
-            remedy="read it as RGB; OpenCV gives BGR: frame[..., ::-1]",
-        )
-    ]
+    return [Finding.of("relatives/channels", whose=whose, of=of, came=came)]
 
 
 def check_background(rig: Rig, colours: FloatArray) -> list[Finding]:
@@ -49,14 +40,11 @@ def check_light(rig: Rig, colours: FloatArray, reference: FloatArray, whose: str
     quality, off = rig.quality, difference_of_light(colours, reference)
     if quality is None or off * quality.cone_deg <= quality.residual_deg:
         return []
+    off_deg = off * quality.cone_deg
+    residual_deg = quality.residual_deg
     return [
-        Finding(
-            check="background",
-            level=Level.WARNING,
-            problem=f"the light of {whose} is not that of {of}: another session, sensor or gel",
-            measured=f"{off:.0%} apart, {off * quality.cone_deg:.1f} degrees on the steepest slopes",
-            expected=f"less than the calibration's residual, {quality.residual_deg:.1f} degrees",
-            remedy="take the background in the session of the touches, and the rig of this sensor and light",
+        Finding.of(
+            "background/light", whose=whose, of=of, off=off, off_deg=off_deg, residual_deg=residual_deg
         )
     ]
 
@@ -72,13 +60,5 @@ def check_raised(depth_map: DepthMap, rig: Rig) -> list[Finding]:
         return []
     highest = int(np.argmax(np.where(raised.mask, depth_map.depth, -np.inf)))
     v, u = np.unravel_index(highest, raised.mask.shape)
-    return [
-        Finding(
-            check="background",
-            level=Level.FATAL,
-            problem=f"the background holds a dent, at u {u} v {v}: it is no picture of the untouched gel",
-            measured=f"the gel {raised.depth_mm:.2f} mm above its rest there",
-            expected="at rest or pushed in",
-            remedy="take the background while nothing touches the gel",
-        )
-    ]
+    measured = f"the gel {raised.depth_mm:.2f} mm above its rest there"
+    return [Finding.of("background/press", u=u, v=v, measured=measured)]

@@ -1,7 +1,7 @@
 """Faults of footage that spoil normals: the findings of `vntoolkit doctor`."""
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -39,7 +39,6 @@ _TOP_VALUES = 3  # stored values that a plateau has, for a codec's noise, and as
 _STEEP = 4.0  # times as many pixels: what is lit evenly, such as a wall, thins out as its noise does
 _DIM = 0.25  # a brightest percentile below it wastes two bits
 _FRAMES_COMPARED = 6
-_NARROWEST_PX = 16  # a strip has no slopes to compare
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,7 +98,8 @@ def inspect_capture(
         clipped.append(float(frame.clipped.mean()))
         dark.append(float((largest < _BLACK * white).mean()))
         bright.append(float(np.percentile(largest, 99)))
-    findings += _findings_from_range(max(bright) / white)
+    if _BLACK <= max(bright) / white < _DIM:
+        findings.append(Finding.of("dim", brightest=max(bright) / white))
     shown: Sequence[int] = capture.present
     if rig is None or rig.gel is None or capture.background is None:
         from vntoolkit.diagnosis.steps import steps_of
@@ -112,7 +112,7 @@ def inspect_capture(
         steps = steps_of(survey, None if rig is None else rig.response)
         findings += steps.findings
         shown = survey.frames_like(steps.alike, shown)
-    findings += findings_from_capture(capture, rig, *mattes.judged(capture, shown or capture.present))
+    findings += examine_capture(capture, rig, *mattes.judged(capture, shown or capture.present)).findings
     return CaptureReport(
         info=info,
         transfer=capture.transfer,
@@ -131,16 +131,11 @@ def findings_from_clipping(frames: Sequence[LinearFrame], mask: Mask | None) -> 
     share = float(np.mean([(f.clipped if mask is None else f.clipped[mask]).mean() for f in frames]))
     if not share > _CLIPPED_TOO_MUCH:
         return _findings_from_plateau(frames, mask)
-    return [
-        Finding(
-            check="clipping",
-            level=Level.FATAL if share > _CLIPPED_FATALLY else Level.WARNING,
-            problem=f"{share:.1%} of the pixels are clipped: no normal there",
-            measured=f"{share:.1%}",
-            expected=f"less than {_CLIPPED_TOO_MUCH:.1%}",
-            remedy="lower the exposure and film again",
-        )
-    ]
+    return [Finding.of("clipping", level=_level_of_clipping(share), share=share)]
+
+
+def _level_of_clipping(share: float) -> Level:
+    return Level.FATAL if share > _CLIPPED_FATALLY else Level.WARNING
 
 
 def _findings_from_plateau(frames: Sequence[LinearFrame], mask: Mask | None) -> list[Finding]:
@@ -148,7 +143,7 @@ def _findings_from_plateau(frames: Sequence[LinearFrame], mask: Mask | None) -> 
 
     Light that is not clipped thins out towards its largest values.
     """
-    for channel, name in enumerate(("red", "green", "blue")):
+    for channel, name in enumerate(evidences.CHANNELS):
         shown = [frame.rgb[..., channel] if mask is None else frame.rgb[mask, channel] for frame in frames]
         values = np.concatenate([each.ravel() for each in shown])
         top = float(values.max(initial=0.0))
@@ -160,31 +155,11 @@ def _findings_from_plateau(frames: Sequence[LinearFrame], mask: Mask | None) -> 
         below, at_top = counts[:_TOP_VALUES].sum(), counts[_TOP_VALUES:].sum()
         if at_top > _CLIPPED_TOO_MUCH * len(values) and at_top > _STEEP * below:
             share = at_top / len(values)
+            level, times = _level_of_clipping(share), at_top / below
             return [
-                Finding(
-                    check="clipping",
-                    level=Level.FATAL if share > _CLIPPED_FATALLY else Level.WARNING,
-                    problem=f"{share:.1%} of the pixels are clipped below full scale: the {name} channel "
-                    f"ends at {top:.0%}, as in a video of limited range or of a camera whose white is lower",
-                    measured=f"{at_top / below:.0f} times as many pixels there as just below",
-                    expected="fewer than below",
-                    remedy="lower the exposure and film again",
-                )
+                Finding.of("clipping/plateau", level=level, share=share, channel=name, top=top, times=times),
             ]
     return []
-
-
-def _findings_from_range(brightest: float) -> Iterator[Finding]:
-    if not _BLACK <= brightest < _DIM:
-        return
-    yield Finding(
-        check="dim",
-        level=Level.NOTE,
-        problem=f"the picture uses {brightest:.0%} of the range",
-        measured=f"{brightest:.0%}",
-        expected=f"more than {_DIM:.0%}",
-        remedy="open the lens: more light means less noise",
-    )
 
 
 # What a user may have got wrong, told by the footage itself.
@@ -200,17 +175,6 @@ class Examination:
     findings: list[Finding]
     nearness: float = 0.0
     blur_px: float = 0.0
-
-
-def findings_from_capture(
-    capture: Capture,
-    rig: Rig | None,
-    mask: Mask | None = None,
-    numbers: Sequence[int] | None = None,
-    in_one_material: Callable[[LinearFrame], LinearFrame] | None = None,
-) -> list[Finding]:
-    """Return the findings of `examine_capture`."""
-    return examine_capture(capture, rig, mask, numbers, in_one_material).findings
 
 
 def examine_capture(
@@ -239,7 +203,9 @@ def examine_capture(
         findings += check_stated_focal(rig, capture.info.stated_focal_px)
         height, width = frames[0].shape
         if (width, height) != rig.footage_size:
-            findings += [*findings_from_rig(rig), _other_size(width, height, rig)]
+            camera = "×".join(map(str, rig.footage_size))
+            findings += findings_from_rig(rig)
+            findings.append(Finding.of("size", width=width, height=height, camera=camera))
             return Examination(findings=findings)
         few, most = [small[k] for k in places], evidences.FEW_PIXELS
         if in_one_material is not None and rig.gel is None:
@@ -312,7 +278,7 @@ def _findings_with_rig(
 
 
 def _is_wide(evidence: evidences.Evidence) -> bool:
-    return min(evidence.light.shape[1:3]) >= _NARROWEST_PX
+    return min(evidence.light.shape[1:3]) >= evidences.NARROWEST_PX
 
 
 def _findings_over_time(
@@ -356,18 +322,6 @@ def _frames_to_judge(
         if number in first:
             consecutive.append(evidences.averaged_down(frame))
     return over_all, consecutive
-
-
-def _other_size(width: int, height: int, rig: Rig) -> Finding:
-    camera = "×".join(map(str, rig.footage_size))
-    return Finding(
-        check="size",
-        level=Level.FATAL,
-        problem=f"the frames are {width}×{height}, the rig's camera is {camera}",
-        measured=f"{width}×{height}",
-        expected=camera,
-        remedy="calibrate with footage of this size",
-    )
 
 
 def frames_to_compare(capture: Capture, numbers: Sequence[int]) -> list[int]:

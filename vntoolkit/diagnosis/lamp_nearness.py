@@ -12,15 +12,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from vntoolkit.arrays import FloatArray
-from vntoolkit.diagnosis.evidence import Evidence, lengths_of
-from vntoolkit.diagnosis.finding import Finding, Level, certainty_from_z
+from vntoolkit.diagnosis.evidence import FEWEST_PIXELS, Evidence
+from vntoolkit.diagnosis.finding import Finding, certainty_from_z
 from vntoolkit.diagnosis.surface_pixels import SurfacePixels, regress_lengths, surface_pixels, without_levels
 from vntoolkit.photometry.response import LightResponse, changes_of_near_lamps
 
-_FEWEST_PIXELS = 400
 _FEWEST_IN_PART = 40  # pixels of two by two blocks
 _LIKE_LAMPS = 0.5  # of the squares of what is left over wide parts
-_ROUNDS = 4
 _LEAST_ERROR = 0.02  # what renderings and photographs under far lamps are off by, all three lamps alike
 _Z = 2.0
 
@@ -52,22 +50,16 @@ def fit_nearness(evidence: Evidence) -> Nearness | None:
         return None
     # what a lamp does not reach is shorter, whatever the lamps' distance, and blurred into what is beside it
     seen = replace(evidence, clipped=evidence.clipped | ~evidence.lit)
-    pixels = surface_pixels(seen, lambda k, _: seen.surface[k])
-    if len(pixels) < _FEWEST_PIXELS:
+    pixels = surface_pixels(seen)
+    if len(pixels) < FEWEST_PIXELS:
         return None
-    scaled = pixels.scaled_normals(pixels.rgb)
-    lengths = np.maximum(lengths_of(scaled), 1e-12)
-    normals = scaled / lengths[:, None]
-    (x, y, z), (u, v) = normals.T, pixels.positions.T
-    near = changes_with_nearness(pixels, normals, response)
-    wrong_m = [x * x - z * z, y * y - z * z, x * y, x * z, y * z]
-    vignetting = [u * u + v * v]
-    uneven = [u, v, u * u, v * v, u * v]
-    logs = np.log(lengths)
+    near = changes_with_nearness(pixels, response)
+    vignetting = (pixels.positions**2).sum(axis=1)
+    wrong_m, uneven, logs = pixels.of_wrong_m, pixels.of_uneven_light, pixels.log_lengths
     fits = []
-    for besides in (wrong_m + vignetting, wrong_m + uneven, [x, y, *wrong_m, *uneven]):
+    for besides in ([*wrong_m, vignetting], wrong_m + uneven, [*pixels.normals.T[:2], *wrong_m, *uneven]):
         columns = np.column_stack([*near, *besides])
-        fit = regress_lengths(columns, logs, pixels, _ROUNDS, widely=True)
+        fit = regress_lengths(columns, logs, pixels, widely=True)
         if fit is None:
             return None
         fits.append(fit)
@@ -81,10 +73,9 @@ def fit_nearness(evidence: Evidence) -> Nearness | None:
     return Nearness(value=value, error=math.hypot(_LEAST_ERROR, error))
 
 
-def changes_with_nearness(
-    pixels: SurfacePixels, normals: FloatArray, response: LightResponse
-) -> list[FloatArray]:
-    """Return how log lengths follow each lamp's nearness, three of (n,). normals: (n, 3)."""
+def changes_with_nearness(pixels: SurfacePixels, response: LightResponse) -> list[FloatArray]:
+    """Return how log lengths follow each lamp's nearness, three of (n,)."""
+    normals = pixels.normals
     changes = np.einsum("ij,akjl->akil", response.inverse, changes_of_near_lamps(response))
     return list(np.einsum("na,akij,ni,nj->kn", pixels.positions, changes, normals, normals, optimize=True))
 
@@ -112,17 +103,8 @@ def _error_of_patterns(
     return math.sqrt(_LIKE_LAMPS) * float(means.std()) / max(float(alone.std()), 1e-9)
 
 
-def finding_from_nearness(found: Nearness) -> Finding:
+def finding_from_nearness(near: Nearness) -> Finding:
     """Note lamps that stand near, where M is one for the whole picture."""
-    sides = [0.5 / value for value in (found.value, found.value + found.error, found.value - found.error)]
-    return Finding(
-        check="near-lamps",
-        level=Level.NOTE,
-        problem="the lamps stand near, so that M changes over the picture; the rig's is one for all of it",
-        measured=f"a distance of {sides[0]:.1f} times the picture's larger side, {sides[1]:.1f} to "
-        f"{sides[2]:.1f}",
-        expected=f"more than {0.5 / (_Z * _LEAST_ERROR):.0f} times",
-        remedy="`reconstruct` corrects M by what is established; calibrate with --degree 2 for the rest, or "
-        "move the lamps away",
-        certainty=certainty_from_z(found.value / found.error),
-    )
+    sides = [0.5 / value for value in (near.value, near.value + near.error, near.value - near.error)]
+    sure = certainty_from_z(near.value / near.error)
+    return Finding.of("near-lamps", certainty=sure, distance=sides[0], least=sides[1], most=sides[2])

@@ -14,7 +14,6 @@ statues; both axes of M reversed make it negative.
 """
 
 import logging
-import math
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -23,20 +22,25 @@ import cv2
 import numpy as np
 
 from vntoolkit.arrays import FloatArray, Mask
-from vntoolkit.diagnosis.evidence import Evidence, brightest_channel, lengths_of, scaled_normals
-from vntoolkit.diagnosis.finding import Finding, Level, certainty_from_z
+from vntoolkit.diagnosis.evidence import (
+    FEWEST_PIXELS,
+    Evidence,
+    brightest_channel,
+    jackknife_error,
+    lengths_of,
+    scaled_normals,
+    silhouette,
+)
+from vntoolkit.diagnosis.finding import CLEAR_Z, Finding, Level, certainty_from_z
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.options.export import NormalConvention
 
 logger = logging.getLogger(__name__)
-_LIT = 0.1  # of the brightest hundredth: the subject and what is lit like it
-_CLOSING_PX = 5
 _RIM_PX = (1.5, 4.0)  # of averaged pixels inside the outline
 _BORDER_PX = 6  # an outline made by the picture's border is none
 _FEWEST_PIXELS = 100
 _TURNED_INWARDS = -0.3
 _FATAL = -0.45
-_Z = 4.0
 # Cast shadows; brightness is of one channel over the length of its row of M.
 _DARK = 0.12  # of the brightest channel: the lamp is missing
 _SUBJECT = 0.3  # of the brightest thirtieth of the picture
@@ -49,8 +53,6 @@ _SMOOTHING_PX = 5
 _STEEPEST = 0.2  # least |n_z| of a slope that counts
 _MARGIN = 0.6  # the other reading must leave this share of the curl
 _WORST_AS_FLIPPED = 0.5  # and be nearly free of curl itself: noise has 0.6 either way
-_FEWEST_MAP_PIXELS = 400
-_RIM_SIDE_PX = 5
 
 
 def check_outline(evidence: Evidence) -> list[Finding]:
@@ -59,42 +61,26 @@ def check_outline(evidence: Evidence) -> list[Finding]:
     if seen is None:
         return []
     outward, error = seen.outward(np.eye(2))
-    if outward > _TURNED_INWARDS or -outward < _Z * error:
+    if outward > _TURNED_INWARDS or -outward < CLEAR_Z * error:
         return []
-    problem = "the normals turn inwards along the subject's outline, as if it were hollow"
-    measured = f"a mean outward part of {outward:.2f} ± {error:.2f}"
-    level = Level.FATAL if outward < _FATAL else Level.WARNING
-    return [_both_axes_reversed(level, problem, measured, outward / error)]
+    level, sure = Level.FATAL if outward < _FATAL else Level.WARNING, certainty_from_z(outward / error)
+    return [Finding.of("outline", level=level, certainty=sure, outward=outward, error=error)]
 
 
 def check_cast_shadows(evidence: Evidence) -> list[Finding]:
     """Find shadows that lie on the near side of what throws them, where the outline tells nothing."""
     if (around := outline(evidence)) is not None:
         outward, error = around.outward(np.eye(2))
-        if outward > max(-_TURNED_INWARDS, _Z * error):
+        if outward > max(-_TURNED_INWARDS, CLEAR_Z * error):
             return []
     seen = cast_shadows(evidence)
     if seen is None:
         return []
     towards, error = seen.outward(np.eye(2))
-    if towards > _TURNED_INWARDS or -towards < _Z * error:
+    if towards > _TURNED_INWARDS or -towards < CLEAR_Z * error:
         return []
-    problem = "shadows lie on the near side of what throws them, as if the lamps stood opposite"
-    measured = f"a mean part of {towards:.2f} ± {error:.2f} of the way into a shadow that leads to its lamp"
-    return [_both_axes_reversed(Level.WARNING, problem, measured, towards / error)]
-
-
-def _both_axes_reversed(level: Level, problem: str, measured: str, z: float) -> Finding:
-    return Finding(
-        check="outline",
-        level=level,
-        problem=problem,
-        measured=measured,
-        expected="0 to 1",
-        remedy="x and y of M both look reversed (lamps turned by 180 degrees): give lamps and normals "
-        "with x right, y down, z forward in rig.json, or calibrate again",
-        certainty=certainty_from_z(z),
-    )
+    sure = certainty_from_z(towards / error)
+    return [Finding.of("outline/shadows", certainty=sure, towards=towards, error=error)]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -113,9 +99,7 @@ class Outline:
         sums = np.einsum("bij,ij->b", self.products, change)
         total, count = sums.sum(), self.counts.sum()
         left_out = (total - sums) / np.maximum(count - self.counts, 1.0)
-        size = len(sums)
-        error = math.sqrt((size - 1) / size * float(((left_out - left_out.mean()) ** 2).sum()))
-        return float(total / count), max(error, 0.01)
+        return float(total / count), max(float(jackknife_error(left_out)), 0.01)
 
 
 @lru_cache(maxsize=2)
@@ -123,12 +107,8 @@ def outline(evidence: Evidence) -> Outline | None:
     """Measure the normals along the outline; None where there is too little of it in the picture."""
     blocks = int(evidence.blocks.max()) + 1
     products, counts = np.zeros((blocks, 2, 2)), np.zeros(blocks)
-    kernel = np.ones((_CLOSING_PX, _CLOSING_PX), np.uint8)
     for k, light in enumerate(evidence.light):
-        brightest = brightest_channel(light)
-        subject = ((brightest > _LIT * np.percentile(brightest, 99)) & evidence.inside[k]).astype(np.uint8)
-        for operation in (cv2.MORPH_CLOSE, cv2.MORPH_OPEN):
-            subject = np.asarray(cv2.morphologyEx(subject, operation, kernel), np.uint8)
+        subject = silhouette(brightest_channel(light), evidence.inside[k])
         depth = cv2.distanceTransform(subject, cv2.DIST_L2, 5)
         fall_v, fall_u = np.gradient(-cv2.GaussianBlur(subject.astype(np.float32), (0, 0), 2.0))
         rim = (depth > _RIM_PX[0]) & (depth < _RIM_PX[1]) & ~evidence.clipped[k]
@@ -216,7 +196,7 @@ def warn_of_flipped_axes(path: Path | str, normal_map: NormalMap) -> None:
 
 def finding_from_axes(normal_map: NormalMap) -> str | None:
     """Return a line where the map makes a surface only with its y axis flipped, else None."""
-    if int(normal_map.mask.sum()) < _FEWEST_MAP_PIXELS:
+    if int(normal_map.mask.sum()) < FEWEST_PIXELS:
         return None
     normals = np.asarray(normal_map.normals_in_camera, dtype=np.float64)
     as_read = curl_share(normals, normal_map.mask)
@@ -256,7 +236,9 @@ def likeliest_convention(stored: FloatArray, mask: Mask) -> tuple[NormalConventi
 
 def _outward_y(stored: FloatArray, mask: Mask) -> float:
     """Return the mean of y along the outline's upward direction, weighted by how far that is up or down."""
-    inside = cv2.blur(mask.astype(np.float32), (_RIM_SIDE_PX, _RIM_SIDE_PX), borderType=cv2.BORDER_REPLICATE)
+    inside = cv2.blur(
+        mask.astype(np.float32), (_SMOOTHING_PX, _SMOOTHING_PX), borderType=cv2.BORDER_REPLICATE
+    )
     upwards = np.gradient(inside, axis=0)  # more of the subject below: the outline faces up
     rim = mask & (np.abs(upwards) > 0)
     total = float(np.abs(upwards[rim]).sum())

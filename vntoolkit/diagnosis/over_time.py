@@ -22,11 +22,9 @@ import numpy as np
 
 from vntoolkit.arrays import Float32Array, FloatArray, Int64Array, Mask
 from vntoolkit.diagnosis import evidence as evidences
-from vntoolkit.diagnosis.finding import Finding, Level, certainty_from_z
+from vntoolkit.diagnosis.finding import CLEAR_Z, Finding, certainty_from_z
+from vntoolkit.diagnosis.white_balance import changes_with_gains
 from vntoolkit.photometry.frame import LinearFrame
-
-_SIDE_PX = 240  # frames are averaged down to it: less noise, less work
-_LARGEST_CHANGE = 0.02  # of the light; 2 % in one channel turn a normal by about half a degree
 
 # Drift.
 _BLUR_PX = 5  # one level of 8 bits in the dark is more than the window below
@@ -40,19 +38,12 @@ _LEAST_OF_BORDER = 0.3  # the static part surrounds the subject; a plane that ti
 _SAME_COLOUR = 0.01
 
 # Flicker and jumps.
-_STEADY_LIGHT = (
-    "film with a shutter time of a whole number of the mains' half periods (1/50 or 1/100 s at 50 Hz, 1/60 "
-    "or 1/120 s at 60 Hz), or feed the lamps with direct current"
-)
 _STRIPES, _ROUNDS_A_STRIPE = 24, 3
 _SPREAD_OF_GAINS, _INDEPENDENT = 0.05, 20  # of a stripe's pixels: neighbours share their errors
 _LARGEST_BANDS = 0.012  # clean footage of what moves has up to 1 %, and as much in columns
 _ROWS_OVER_COLUMNS = 2.0
 FRAMES_IN_A_ROW = 5
-_FEWEST_PIXELS = 400
-_Z = 4.0
 _LIT = 0.15  # of the brightest hundredth
-_FLOW_PX = 16  # a side; OpenCV ends the process on longer strips of 12 pixels, and refuses less
 _RETURN_PX = 1.5
 _RETURN_SHARE = 0.1  # of the motion
 _LOST = 0.5  # of the subject
@@ -75,30 +66,19 @@ def findings_from_drift(frames: Sequence[LinearFrame]) -> list[Finding]:
         return []
     medians = np.array([np.median(change[static], axis=0) for change in gains])
     worst = int(np.abs(medians).max(axis=1).argmax())
-    if np.abs(medians[worst]).max() < _LARGEST_CHANGE:
+    if np.abs(medians[worst]).max() < evidences.LARGEST_CHANGE:
         return []
     first, last = frames[0].number, frames[worst + 1].number
-    red, green, blue = (f"{100 * (gain - 1):+.0f} %" for gain in np.exp(medians[worst]).tolist())
+    red, green, blue = 100 * np.expm1(medians[worst])
     what = "exposure" if np.ptp(medians[worst]) < _SAME_COLOUR else "white balance"
-    return [
-        Finding(
-            check="drift",
-            level=Level.WARNING,
-            problem=f"the camera's {what} drifts from frame {first} to {last}: what does not move changes",
-            measured=f"{red} red, {green} green, {blue} blue",
-            expected=f"less than {_LARGEST_CHANGE:.0%}",
-            remedy="lock exposure and white balance, and film again",
-        )
-    ]
+    return [Finding.of("drift", what=what, first=first, last=last, red=red, green=green, blue=blue)]
 
 
 def _reduced(frame: LinearFrame) -> tuple[FloatArray, Mask]:
     """Return log light (h, w, 3), averaged down, and where all that went into a pixel can be trusted."""
-    factor = min(1.0, _SIDE_PX / max(frame.shape))
-    size = tuple(max(1, round(n * factor)) for n in frame.shape[::-1])
-    rgb = cv2.blur(cv2.resize(np.array(frame.rgb), size, interpolation=cv2.INTER_AREA), (_BLUR_PX, _BLUR_PX))
-    clipped = cv2.resize(frame.clipped.astype(np.float32), size, interpolation=cv2.INTER_AREA)
-    clipped = cv2.blur(clipped, (_BLUR_PX, _BLUR_PX))
+    small = evidences.averaged_down(frame)
+    rgb = cv2.blur(np.asarray(small.rgb), (_BLUR_PX, _BLUR_PX))
+    clipped = cv2.blur(small.clipped.astype(np.float32), (_BLUR_PX, _BLUR_PX))
     usable: Mask = np.asarray((evidences.darkest_channel(rgb) > _DARKEST) & (clipped == 0))
     return np.log(np.maximum(rgb, 1e-6)).astype(np.float64), usable
 
@@ -129,27 +109,16 @@ def check_flicker(evidence: evidences.Evidence) -> list[Finding]:
     if len(evidence.light) < 3:
         return []
     seen = evidence.surface.all(axis=0)
-    if int(seen.sum()) < _FEWEST_PIXELS:
+    if int(seen.sum()) < evidences.FEWEST_PIXELS:
         return []
-    logs = np.log(np.maximum(np.stack([_lengths(evidence, light)[seen] for light in evidence.light]), 1e-9))
-    # of a pixel, from its neighbours in time: what moves over it in one direction cancels
-    beats = logs[1:-1] - 0.5 * (logs[:-2] + logs[2:])
+    beats = _beats(np.stack([evidences.scaled_normals(evidence, light)[seen] for light in evidence.light]))
     medians = np.median(beats, axis=1)
     error = _largest_error(beats, medians, evidence.blocks[seen])
     largest = float(np.abs(medians).max())
-    if not largest >= max(_LARGEST_CHANGE, _Z * error):  # NaN tells nothing
+    if not largest >= max(evidences.LARGEST_CHANGE, CLEAR_Z * error):  # NaN tells nothing
         return []
-    return [
-        Finding(
-            check="flicker",
-            level=Level.WARNING,
-            problem="the light flickers: the subject's brightness goes up and down from frame to frame",
-            measured=f"{largest:.1%} ± {error:.1%} against the mean of the frames before and after",
-            expected=f"less than {_LARGEST_CHANGE:.0%}",
-            remedy=_STEADY_LIGHT,
-            certainty=certainty_from_z(largest / max(error, 1e-6)),
-        )
-    ]
+    sure = certainty_from_z(largest / max(error, 1e-6))
+    return [Finding.of("flicker", certainty=sure, change=largest, error=error)]
 
 
 def check_bands(evidence: evidences.Evidence) -> list[Finding]:
@@ -159,14 +128,12 @@ def check_bands(evidence: evidences.Evidence) -> list[Finding]:
     subject that moves changes depends on columns as on rows; what the shutter makes depends on rows alone.
     """
     seen = evidence.surface.all(axis=0)
-    if len(evidence.light) < 3 or int(seen.sum()) < _FEWEST_PIXELS:
+    if len(evidence.light) < 3 or int(seen.sum()) < evidences.FEWEST_PIXELS:
         return []
     scaled = np.stack([evidences.scaled_normals(evidence, light)[seen] for light in evidence.light])
-    lengths = np.maximum(evidences.lengths_of(scaled), 1e-9)
-    logs = np.log(lengths)
-    beats = logs[1:-1] - 0.5 * (logs[:-2] + logs[2:])
+    beats = _beats(scaled)
     inverse = evidence.inverse if evidence.inverse.ndim == 2 else evidence.inverse[seen]
-    follow = np.stack([_follow(inverse, each) for each in scaled[1:-1]])
+    follow = np.stack([changes_with_gains(inverse, each) for each in scaled[1:-1]])
     change = []
     for places in np.nonzero(seen):  # rows, then columns on what rows leave: a subject couples the two
         stripes = np.array_split(np.argsort(places, kind="stable"), _STRIPES)
@@ -180,23 +147,16 @@ def check_bands(evidence: evidences.Evidence) -> list[Finding]:
     by_rows, by_columns = float(change[0].min()), float(change[1].max())
     if by_rows < _LARGEST_BANDS or by_rows < _ROWS_OVER_COLUMNS * by_columns:
         return []
-    return [
-        Finding(
-            check="flicker",
-            level=Level.WARNING,
-            problem="the light flickers while the shutter rolls: bands run over the picture from frame to "
-            "frame, and turn normals where the lamps do not flicker alike",
-            measured=f"{by_rows:.1%} from row to row, {by_columns:.1%} from column to column",
-            expected=f"less than {_LARGEST_BANDS:.1%}",
-            remedy=_STEADY_LIGHT,
-        )
-    ]
+    return [Finding.of("flicker/bands", rows=by_rows, columns=by_columns)]
 
 
-def _follow(inverse: Float32Array, scaled: Float32Array) -> FloatArray:
-    n = scaled / np.maximum(evidences.lengths_of(scaled), 1e-9)[:, None]
-    colour = np.einsum("...ij,...j->...i", np.linalg.inv(inverse), n)
-    return np.asarray(np.einsum("...i,...ij->...j", n, inverse) * colour, np.float64)
+def _beats(scaled: Float32Array) -> Float32Array:
+    """Return (k - 2, n) log lengths of (k, n, 3) against the mean of the frames before and after.
+
+    What moves over a pixel in one direction cancels.
+    """
+    logs = np.log(np.maximum(evidences.lengths_of(scaled), 1e-9))
+    return np.asarray(logs[1:-1] - 0.5 * (logs[:-2] + logs[2:]))
 
 
 def _gains_of_stripe(follow: FloatArray, beats: FloatArray) -> FloatArray:
@@ -211,10 +171,6 @@ def _gains_of_stripe(follow: FloatArray, beats: FloatArray) -> FloatArray:
     return gains
 
 
-def _lengths(evidence: evidences.Evidence, light: Float32Array) -> Float32Array:
-    return np.asarray(evidences.lengths_of(evidences.scaled_normals(evidence, light)))
-
-
 def _largest_error(beats: FloatArray, medians: FloatArray, blocks: Int64Array) -> float:
     """Return the standard error of the medians: how those of the blocks scatter about them."""
     names = np.unique(blocks)
@@ -226,6 +182,8 @@ def _largest_error(beats: FloatArray, medians: FloatArray, blocks: Int64Array) -
 
 def findings_from_motion(frames: Sequence[LinearFrame], mask: Mask | None = None) -> list[Finding]:
     """Find a subject that jumps. frames: consecutive ones. mask: (h, w) where the subject is, or None."""
+    if min(frames[0].shape) < evidences.NARROWEST_PX:
+        return []  # OpenCV ends the process on strips of 12 pixels
     pictures = [_picture(frame) for frame in frames]
     flow = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
     shares: list[float] = []
@@ -241,18 +199,8 @@ def findings_from_motion(frames: Sequence[LinearFrame], mask: Mask | None = None
     others = shares[:where] + shares[where + 1 :]
     if worst < _LOST or len(others) < 2 or np.median(others) > _FOLLOWED:
         return []
-    return [
-        Finding(
-            check="jump",
-            level=Level.WARNING,
-            problem=f"the subject jumps from frame {frames[where].number} to {frames[where + 1].number}: it "
-            "cannot be followed there, so that no mesh can be tracked through",
-            measured=f"{worst:.0%} of its pixels not found again",
-            expected=f"less than {_LOST:.0%}",
-            remedy="film at a higher frame rate, or reconstruct every frame (--frames without a step) and "
-            "track the parts before and after a cut by themselves",
-        )
-    ]
+    first, second = frames[where].number, frames[where + 1].number
+    return [Finding.of("jump", first=first, second=second, share=worst)]
 
 
 def _lost_share(flow: cv2.DISOpticalFlow, now: Float32Array, then: Float32Array, subject: Mask) -> float:
@@ -271,7 +219,5 @@ def _lost_share(flow: cv2.DISOpticalFlow, now: Float32Array, then: Float32Array,
 
 def _picture(frame: LinearFrame) -> Float32Array:
     """Return one brightness, (h, w), averaged down; roots even out what is lit well and what is not."""
-    factor = min(1.0, _SIDE_PX / max(frame.shape))
-    size = (max(_FLOW_PX, round(frame.shape[1] * factor)), max(_FLOW_PX, round(frame.shape[0] * factor)))
-    small = cv2.resize(np.asarray(frame.rgb), size, interpolation=cv2.INTER_AREA)
-    return np.sqrt(np.maximum(small.mean(axis=2), 0)).astype(np.float32)
+    light = np.asarray(evidences.averaged_down(frame).rgb)
+    return np.sqrt(np.maximum(light.mean(axis=2), 0)).astype(np.float32)

@@ -25,12 +25,10 @@ import cv2
 import numpy as np
 
 from vntoolkit.arrays import Array, Float32Array, FloatArray, Mask
-from vntoolkit.diagnosis.evidence import brightest_channel
-from vntoolkit.diagnosis.finding import Finding, Level
+from vntoolkit.diagnosis.evidence import SUBJECT, brightest_channel, silhouette
+from vntoolkit.diagnosis.finding import Finding
 from vntoolkit.photometry.frame import LinearFrame
 
-_LIT = 0.1  # of the brightest hundredth: the subject and what is lit like it
-_CLOSING_PX = 5
 _REACH_PX = 4  # of an edge from the outline
 _BORDER_PX = 10  # an outline made by the picture's border is none
 _SCALES_PX = (1.0, 2.0, 3.0)
@@ -101,48 +99,27 @@ def colour_is_interpolated(frame: LinearFrame) -> bool:
     """True where red and green differ more smoothly at every second pixel of a frame of full resolution."""
     rgb = np.asarray(frame.rgb, np.float32)
     brightest = cv2.GaussianBlur(brightest_channel(rgb), (0, 0), 2.0)
-    subject = ((brightest > _LIT * np.percentile(brightest[::4, ::4], 99)) & ~frame.clipped).astype(np.uint8)
-    subject = np.asarray(cv2.erode(subject, np.ones((5, 5), np.uint8), borderValue=0))
+    subject: Mask = (brightest > SUBJECT * np.percentile(brightest[::4, ::4], 99)) & ~frame.clipped
+    inside = cv2.erode(subject.astype(np.uint8), np.ones((5, 5), np.uint8), borderValue=0) > 0
     difference = rgb[..., 0] - rgb[..., 1]
     beside = np.array([[0, 0.25, 0], [0.25, -1, 0.25], [0, 0.25, 0]], np.float32)
     rough = np.abs(cv2.filter2D(difference, -1, beside))
-    rough = np.minimum(rough, _MOST_ROUGH * float(np.median(rough[subject > 0])) if subject.any() else 0.0)
-    four = [(rough[v::2, u::2], subject[v::2, u::2] > 0) for v in range(2) for u in range(2)]
-    if min(int(inside.sum()) for _, inside in four) < _FEWEST:
+    rough = np.minimum(rough, _MOST_ROUGH * float(np.median(rough[inside])) if inside.any() else 0.0)
+    four = [(rough[v::2, u::2], inside[v::2, u::2]) for v in range(2) for u in range(2)]
+    if min(int(there.sum()) for _, there in four) < _FEWEST:
         return False
-    means = [float(values[inside].mean()) for values, inside in four]
+    means = [float(values[there].mean()) for values, there in four]
     return max(means) > _EVERY_SECOND * max(min(means), 1e-9)
 
 
 def findings_from_sharpness(seen: Sharpness) -> list[Finding]:
     """Find footage that is blurred, or sharpened."""
     if seen.widest_px > _BLURRED_PX:
-        return [
-            Finding(
-                check="blur",
-                level=Level.WARNING,
-                problem="the picture is blurred: fine relief is lost, normals are too smooth",
-                measured=f"a blur of {seen.widest_px:.1f} pixels (standard deviation) at {seen.edges} places "
-                "of the outline",
-                expected=f"less than {_BLURRED_PX:g}",
-                remedy="focus on the subject and close the lens; where it moves, expose shorter",
-            )
-        ]
-    too_bright = seen.blur_px < _STEEP_PX and seen.overshoot > _OVERSHOOT
-    if too_bright or seen.halo < _HALO:
-        return [
-            Finding(
-                check="sharpening",
-                level=Level.WARNING,
-                problem="the picture was sharpened: noise and fine relief are steeper than the surface",
-                measured=f"{seen.overshoot:.1%} of a step too bright beside it, at {seen.edges} places"
-                if too_bright
-                else f"a background {1 - seen.halo:.0%} darker beside the outline than six pixels away, at "
-                f"{seen.edges} places",
-                expected=f"less than {_OVERSHOOT:.0%}" if too_bright else "no darker",
-                remedy="switch sharpening off in the camera, or in the program that converted its files",
-            )
-        ]
+        return [Finding.of("blur", blur_px=seen.widest_px, edges=seen.edges)]
+    if seen.blur_px < _STEEP_PX and seen.overshoot > _OVERSHOOT:
+        return [Finding.of("sharpening", overshoot=seen.overshoot, edges=seen.edges)]
+    if seen.halo < _HALO:
+        return [Finding.of("sharpening/halo", darker=1 - seen.halo, edges=seen.edges)]
     return []
 
 
@@ -197,12 +174,7 @@ def _width(squares: FloatArray, others: FloatArray, percentile: float) -> float 
 def _near_outline(frame: LinearFrame, mask: Mask | None) -> Mask:
     """Return (h, w), pixels on either side of the subject's outline, far from clipped ones."""
     brightest = cv2.GaussianBlur(brightest_channel(np.asarray(frame.rgb, np.float32)), (0, 0), 1.0)
-    subject = (brightest > _LIT * np.percentile(brightest[::4, ::4], 99)).astype(np.uint8)
-    if mask is not None:
-        subject &= mask.astype(np.uint8)
-    kernel = np.ones((_CLOSING_PX, _CLOSING_PX), np.uint8)
-    for operation in (cv2.MORPH_CLOSE, cv2.MORPH_OPEN):
-        subject = np.asarray(cv2.morphologyEx(subject, operation, kernel), np.uint8)
+    subject = silhouette(brightest, mask)
     around = np.ones((2 * _REACH_PX + 1, 2 * _REACH_PX + 1), np.uint8)
     near = np.asarray(cv2.dilate(subject, around)) > np.asarray(cv2.erode(subject, around, borderValue=1))
     if frame.clipped.any():

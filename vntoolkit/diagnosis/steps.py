@@ -16,23 +16,20 @@ from itertools import combinations, pairwise
 import numpy as np
 
 from vntoolkit.arrays import Float32Array, FloatArray, Mask
-from vntoolkit.diagnosis.evidence import lengths_of
-from vntoolkit.diagnosis.finding import Finding, Level
+from vntoolkit.diagnosis.evidence import CHANNELS, LARGEST_CHANGE, SUBJECT
+from vntoolkit.diagnosis.finding import Finding
 from vntoolkit.diagnosis.subject import Survey
+from vntoolkit.photometry.fit_quality import angles_deg
 from vntoolkit.photometry.response import LightResponse
 
 _PARTS = 4  # of the picture, along each side
-_LIT = 0.1  # of the brightest hundredth of a channel
 _ALIKE = 1e-12  # squared light of frames that are the same
 _DARKEST = 0.001  # of full scale: a lamp that is out leaves so much
-_LARGEST_CHANGE = 0.02  # of the light; 2 % in one channel turn a normal by about half a degree
 _ROUNDING = 0.002  # least spread of log changes: of 8 bits
 _FEWEST_CHANGES = 3  # have a spread
 _FEWEST_IN_A_ROW = 6  # frames, to tell channels that were filmed apart
 _TELLING = 0.05  # of a log: what parts of the picture at rest leave by any lag
 _LAGS_TRIED = 6  # pairs of channels, each way round
-_LAMPS = 3
-_NAMES = ("red", "green", "blue")
 _FLIPS = {"left and right": (slice(None), slice(None, None, -1)), "top and bottom": (slice(None, None, -1),),
           "by 180 degrees": (slice(None, None, -1),) * 2}  # fmt: skip
 
@@ -76,7 +73,7 @@ def steps_of(survey: Survey, response: LightResponse | None = None) -> Steps:
             lit = survey.lit[seen]
             turned = max(_turned_deg(light[s.place - 1][lit[s.place - 1]], s, response) for s in of_lamp)
         findings.append(_finding_of_lamp(of_lamp, numbers, turned))
-    findings += [_finding_of_flip(numbers[place], how) for place, how in flips.items()]
+    findings += [Finding.of("steps/mirrored", number=numbers[k], how=how) for k, how in flips.items()]
     findings += _findings_of_lag(light, numbers)
     alone = {step.place for step in steps if step.alone}
     cuts = sorted({0, len(numbers), *flips} | {step.place for step in steps if not step.alone})
@@ -91,11 +88,11 @@ def _lamp_steps(light: Float32Array, lit: Mask) -> Iterator[LampStep]:
     parts = _parts_of(light.shape[1:3])
     changes = [_changes_of_parts(light[k : k + 2], lit[k : k + 2], parts) for k in range(len(light) - 1)]
     shared = np.array([np.median(each, axis=0) if len(each) else np.zeros(3) for each in changes])
-    for lamp in range(_LAMPS):
+    for lamp in range(3):
         places = [
             k
             for k in _standing_out(shared[:, lamp])
-            if abs(shared[k, lamp]) > _LARGEST_CHANGE
+            if abs(shared[k, lamp]) > LARGEST_CHANGE
             and abs(shared[k, lamp]) == np.abs(shared[k]).max()  # what one lamp does, the others seem to
             and _is_shared(changes[k][:, lamp], len(shared))
         ]
@@ -117,7 +114,7 @@ def _parts_of(shape: tuple[int, ...]) -> FloatArray:
 def _changes_of_parts(light: Float32Array, lit: Mask, parts: FloatArray) -> FloatArray:
     """Return log changes (p, 3) of the channels against each other, of parts that all lamps reach."""
     top = np.percentile(light, 99, axis=(1, 2)).max(axis=0)
-    reached = (light.max(axis=0) > _LIT * top).all(axis=2) & lit.all(axis=0)
+    reached = (light.max(axis=0) > SUBJECT * top).all(axis=2) & lit.all(axis=0)
     logs = np.log(np.maximum(light, _DARKEST, dtype=np.float64))
     change = (logs[1] - logs[0])[reached]
     change -= np.median(change, axis=1, keepdims=True)
@@ -133,7 +130,7 @@ def _standing_out(changes: FloatArray) -> list[int]:
     order, count = np.argsort(-np.abs(changes)), len(changes)
     left = np.append(np.cumsum((changes[order] ** 2)[::-1])[::-1], 0.0)[: count // 2 + 1]
     least = count * _ROUNDING**2
-    each = 0.5 * np.log(count) + np.log(_LAMPS * count)
+    each = 0.5 * np.log(count) + np.log(3 * count)
     costs = count / 2 * np.log(np.maximum(left, least)) + each * np.arange(len(left))
     return order[: int(np.argmin(costs))].tolist()
 
@@ -142,7 +139,7 @@ def _is_shared(changes: FloatArray, count: int) -> bool:
     """Tell whether parts (p,) change alike rather than by chance at one of so many places."""
     spread = float(np.sum((changes - changes.mean()) ** 2)) + len(changes) * _ROUNDING**2
     gain = len(changes) / 2 * np.log(np.sum(changes**2) / spread)
-    return bool(gain > 0.5 * np.log(len(changes)) + np.log(_LAMPS * count))
+    return bool(gain > 0.5 * np.log(len(changes)) + np.log(3 * count))
 
 
 def _turned_deg(light: Float32Array, step: LampStep, response: LightResponse) -> float:
@@ -150,9 +147,7 @@ def _turned_deg(light: Float32Array, step: LampStep, response: LightResponse) ->
     after = light.astype(np.float64)
     after[:, step.lamp] *= step.factor
     first, second = ((each - response.ambient) @ response.inverse.T for each in (light, after))
-    lengths = np.maximum(lengths_of(first) * lengths_of(second), 1e-12)
-    cosines = np.clip((first * second).sum(axis=1) / lengths, -1.0, 1.0)
-    return float(np.degrees(np.median(np.arccos(cosines)))) if len(light) else 0.0
+    return float(np.median(angles_deg(first, second))) if len(light) else 0.0
 
 
 def _finding_of_lamp(of_lamp: list[LampStep], numbers: list[int], turned_deg: float | None) -> Finding:
@@ -164,18 +159,11 @@ def _finding_of_lamp(of_lamp: list[LampStep], numbers: list[int], turned_deg: fl
         for at in [numbers[step.place]]
     ]
     more = f" and {len(of_lamp) - 4} more" if len(of_lamp) > 4 else ""
-    return Finding(
-        check="steps",
-        level=Level.WARNING,
-        problem=f"the {_NAMES[of_lamp[0].lamp]} lamp, or its channel's white balance, changes at once: "
-        f"{', '.join(shown)}{more}",
-        measured=f"{max((step.factor for step in of_lamp), key=lambda factor: abs(np.log(factor))):.2f} "
-        "times the light against the other lamps"
-        + ("" if turned_deg is None else f", which turns normals by {turned_deg:.0f} degrees"),
-        expected=f"1 within {_LARGEST_CHANGE:.0%}",
-        remedy="normals are wrong there; film again with steady lamps and locked white balance, or "
-        "reconstruct the other frames alone (--frames)",
-    )
+    worst = max((step.factor for step in of_lamp), key=lambda factor: abs(np.log(factor)))
+    turns = "" if turned_deg is None else f", which turns normals by {turned_deg:.0f} degrees"
+    measured = f"{worst:.2f} times the light against the other lamps{turns}"
+    channel, changes = CHANNELS[of_lamp[0].lamp], f"{', '.join(shown)}{more}"
+    return Finding.of("steps", channel=channel, changes=changes, measured=measured)
 
 
 def _flips(light: Float32Array, numbers: list[int]) -> Iterator[tuple[int, str]]:
@@ -193,17 +181,6 @@ def _flips(light: Float32Array, numbers: list[int]) -> Iterator[tuple[int, str]]
             yield int(k) + 1, how
 
 
-def _finding_of_flip(number: int, how: str) -> Finding:
-    return Finding(
-        check="steps",
-        level=Level.WARNING,
-        problem=f"the picture is mirrored from frame {number} on ({how})",
-        measured=f"frame {number} is like the one before it only if it is mirrored",
-        expected="one way round throughout",
-        remedy="normals are wrong there: mirror these frames back, or leave them out (--frames)",
-    )
-
-
 def _findings_of_lag(light: Float32Array, numbers: list[int]) -> Iterator[Finding]:
     """Find channels that were filmed a frame apart."""
     if len(numbers) < _FEWEST_IN_A_ROW or numbers[-1] - numbers[0] != len(numbers) - 1:
@@ -219,15 +196,8 @@ def _findings_of_lag(light: Float32Array, numbers: list[int]) -> Iterator[Findin
             same, apart, further = (np.log(each[told]) for each in left)
             if _mostly_more(same - apart) and _mostly_more(further - apart):
                 early, late = (first, second) if sign > 0 else (second, first)
-                yield Finding(
-                    check="steps",
-                    level=Level.WARNING,
-                    problem=f"the {_NAMES[late]} channel was filmed a frame after the {_NAMES[early]} one",
-                    measured="the changes of a frame before leave "
-                    f"{np.exp(np.mean(apart - same)):.0%} of what those of the same frame leave",
-                    expected="all three at once",
-                    remedy="move the channel by a frame, or film with lamps that are on together",
-                )
+                share = np.exp(np.mean(apart - same))
+                yield Finding.of("steps/lag", late=CHANNELS[late], early=CHANNELS[early], share=share)
 
 
 def _mostly_more(logs: FloatArray) -> bool:

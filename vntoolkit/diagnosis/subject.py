@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from vntoolkit.arrays import Float32Array, Int64Array, LinearImage, Mask
-from vntoolkit.diagnosis.evidence import brightest_channel, lengths_of
+from vntoolkit.diagnosis.evidence import SUBJECT, brightest_channel, lengths_of
 from vntoolkit.errors import NoSubject
 from vntoolkit.io.footage.captures import Capture
 from vntoolkit.io.footage.decoding import EncodedFrame, linear_frame_from_encoded
@@ -23,7 +23,6 @@ from vntoolkit.photometry.transfer import Transfer, linear_from_encoded
 _SURVEYED = 256  # frames, of more evenly spread ones: reading takes a small part of the time of a run
 _BLOCKS = 32  # along the picture's longer side
 _SAMPLES = 8  # pixels read along each side of a block
-_LIT = 0.1  # of the brightest hundredth of the blocks of all frames
 _BLACK_LEVELS, _MOST_BITS = 2.5, 16  # as many are noise of what is stored
 _MUCH = 0.5  # of the blocks that are usually lit: a subject that is entering tells less
 
@@ -68,7 +67,7 @@ def survey_of(capture: Capture, mattes: Mattes, numbers: Sequence[int]) -> Surve
     top = float(np.percentile(brightest, 99, axis=(1, 2)).max())
     transfer, levels = capture.transfer, 2.0 ** min(capture.info.bits, _MOST_BITS) - 1
     black = linear_from_encoded(np.array(transfer.black_level + _BLACK_LEVELS / levels), transfer)
-    lit: Mask = brightest > max(_LIT * top, float(black))
+    lit: Mask = brightest > max(SUBJECT * top, float(black))
     shares = lit.mean(axis=(1, 2))
     usual = float(np.median(shares[shares > 0])) if shares.any() else 1.0
     return Survey(numbers=seen, light=light, lit=lit, shows=(shares > 0) & (shares >= _MUCH * usual))

@@ -19,15 +19,20 @@ import cv2
 import numpy as np
 
 from vntoolkit.arrays import BoolArray, Float32Array, FloatArray, Matrix3
-from vntoolkit.diagnosis.evidence import Evidence, lengths_of, scaled_normals
+from vntoolkit.diagnosis.evidence import (
+    CHANNELS,
+    FEWEST_PIXELS,
+    STEEPEST,
+    Evidence,
+    jackknife_error,
+    lengths_of,
+    scaled_normals,
+)
 from vntoolkit.diagnosis.finding import Finding, Level, certainty_from_z
 from vntoolkit.diagnosis.outline import outline
 
 _BLUR_PX = 1.5  # of averaged pixels: calms noise before differences are taken
 _LEAST_LIGHT = 1e-3
-_STEEPEST = 0.15  # least cosine between normal and viewing ray
-_FEWEST_PIXELS = 400
-_EXPECTED = "0.5 to 1 on a surface"
 # A relative of M is named where it agrees better by this many standard errors, and where the product of
 # disagreement and spread of lengths falls by this factor. Sound photographs of faces and statues stay below.
 _Z = 3.0
@@ -43,8 +48,6 @@ _SEVERAL_COLOURS = 0.1  # of the subject beside such steps
 _LAG_PX = 4
 _LEAST_COHERENCE = 0.25
 _FLATTEST_DEG = 2.5
-_CHANNELS = ("red", "green", "blue")
-_SINGLE_LIGHT = "calibrate with one photograph per lamp (--single-light), so that paints are told apart"
 
 
 def check_structure(evidence: Evidence) -> list[Finding]:
@@ -53,31 +56,13 @@ def check_structure(evidence: Evidence) -> list[Finding]:
     Normals four averaged pixels apart are compared: their covariance is the surface's own, without noise.
     """
     seen = structure(evidence)
-    if seen.pixels < _FEWEST_PIXELS or not seen.faces_camera:
+    if seen.pixels < FEWEST_PIXELS or not seen.faces_camera:
         return []
     if seen.is_noise:
-        return [
-            Finding(
-                check="noise",
-                level=Level.FATAL,
-                problem="the footage shows noise, no surface",
-                measured=f"a correlation of {seen.coherence:.2f} between normals {_LAG_PX} pixels apart",
-                expected="0.5 to 1",
-                remedy="are the lamps on, the lens cap off and the mask on the subject?",
-                certainty=certainty_from_z((1.0 - seen.coherence) * math.sqrt(seen.pixels) / 10.0),
-            )
-        ]
+        sure = certainty_from_z((1.0 - seen.coherence) * math.sqrt(seen.pixels) / 10.0)
+        return [Finding.of("noise", certainty=sure, coherence=seen.coherence)]
     if seen.is_flat:
-        return [
-            Finding(
-                check="flat",
-                level=Level.WARNING,
-                problem="the subject is flat: nothing but noise changes its normals",
-                measured=f"a spread of {seen.own_deg:.1f} degrees",
-                expected=f"more than {_FLATTEST_DEG:g}",
-                remedy="is this the backdrop or a wall? give --mask, or film the subject",
-            )
-        ]
+        return [Finding.of("flat", spread_deg=seen.own_deg)]
     return []
 
 
@@ -147,35 +132,26 @@ def structure(evidence: Evidence) -> Structure:
 def check_relatives(evidence: Evidence) -> list[Finding]:
     """Find the mistake about M that explains the footage clearly better than M does."""
     seen = structure(evidence)
-    if seen.pixels < _FEWEST_PIXELS or (seen.faces_camera and (seen.is_noise or seen.is_flat)):
+    if seen.pixels < FEWEST_PIXELS or (seen.faces_camera and (seen.is_noise or seen.is_flat)):
         return []
     own = _own_sums(evidence)
     as_calibrated = _Reading.of("as calibrated", "", own)
     if as_calibrated.leaves_no_doubt(own):
         return []
     better = []
-    if own.pixels >= _FEWEST_PIXELS or own.front_share < 0.5:
+    if own.pixels >= FEWEST_PIXELS or own.front_share < 0.5:
         better = _better(evidence, as_calibrated, _relatives_of(evidence))
     if better:
         return [_finding(as_calibrated, better)]
     if own.front_share >= 0.5:
         return _undecided(evidence, as_calibrated, _Reading.of("", "", own, mirrored=True))
-    return [
-        Finding(
-            check="relatives",
-            level=Level.FATAL,
-            problem="the rig's normals face away from the camera",
-            measured=f"{1 - own.front_share:.0%} of the lit pixels",
-            expected="less than 10 %",
-            remedy="this rig is not of this footage: calibrate again with these lamps and this camera",
-        )
-    ]
+    return [Finding.of("relatives/away", share=1 - own.front_share)]
 
 
 def paint_may_hide_surface(evidence: Evidence) -> bool:
     """Tell where footage makes hardly a surface under this M."""
     seen = structure(evidence)
-    if seen.pixels < _FEWEST_PIXELS or seen.is_noise or seen.is_flat:
+    if seen.pixels < FEWEST_PIXELS or seen.is_noise or seen.is_flat:
         return False
     own = _Reading.of("", "", _own_sums(evidence))
     return own.front_share >= 0.5 and own.agreement <= _LEAST_AGREEMENT
@@ -189,22 +165,13 @@ def note_of_levelled_paint(levelled: Evidence, plain: Evidence) -> Finding | Non
     if after <= before:
         return None
     apart = levelled.rig.response.light_colours is not None  # then `reconstruct` tells the paints
-    return Finding(
-        check="relatives",
-        level=Level.NOTE if apart else Level.WARNING,
-        problem="paint hides the surface: M was checked as if all of it were of one paint; white balance, "
-        "gloss and black level, which lengths tell, were not checked"
-        + ("" if apart else "; a rig of one material gives wrong normals beside paint"),
-        measured=f"an agreement of mixed derivatives of {before:.2f} as of one material, {after:.2f} with "
-        "paint levelled",
-        expected=_EXPECTED,
-        remedy="check them on a subject of one colour" if apart else _SINGLE_LIGHT,
-    )
+    name = "relatives/paint-told-apart" if apart else "relatives/paint"
+    return Finding.of(name, before=before, after=after)
 
 
 def _most_of_a_surface(evidence: Evidence) -> float:
     own = _own_sums(evidence)
-    if own.pixels < _FEWEST_PIXELS:
+    if own.pixels < FEWEST_PIXELS:
         return 0.0
     return max(reading.agreement for reading in (_Reading.of("", "", own), *_relatives_of(evidence)))
 
@@ -215,24 +182,14 @@ def _undecided(evidence: Evidence, own: _Reading, mirrored: _Reading) -> list[Fi
     if tells or abs(own.z_above(mirrored)) > _Z:
         return []
     painted = float(_seams_of_paint(evidence)[evidence.surface].mean())
-    several = painted > _SEVERAL_COLOURS
+    name = "relatives/unchecked-paint" if painted > _SEVERAL_COLOURS else "relatives/unchecked"
     return [
-        Finding(
-            check="relatives",
-            level=Level.WARNING if several else Level.NOTE,
-            problem="M's axes, the order of the channels, the lamps' places and the curve could not be "
-            "checked: the normals tell too little of a surface"
-            + ("; a rig of one material gives wrong normals beside paint" if several else ""),
-            measured=f"{painted:.0%} of the subject beside steps of paint, and an agreement of mixed "
-            f"derivatives of {own.agreement:.2f} ± {own.standard_error:.2f}, {mirrored.agreement:.2f} if "
-            "mirrored",
-            expected=_EXPECTED,
-            remedy=(
-                f"{_SINGLE_LIGHT}, and check this rig on a subject of one colour"
-                if several
-                else "check the rig on a subject of one colour, or look whether the normals are convex where "
-                "the subject is"
-            ),
+        Finding.of(
+            name,
+            painted=painted,
+            own=own.agreement,
+            error=own.standard_error,
+            mirrored=mirrored.agreement,
         )
     ]
 
@@ -308,8 +265,8 @@ def _block_sums(evidence: Evidence, scaled: Float32Array, used: BoolArray, seams
     length = lengths_of(smooth)
     normals = smooth / np.maximum(length, 1e-12)[..., None]
     facing = np.einsum("vui,vui->vu", normals, evidence.directions)
-    front = covered & (facing < -_STEEPEST)
-    depth = np.minimum(facing, -_STEEPEST)
+    front = covered & (facing < -STEEPEST)
+    depth = np.minimum(facing, -STEEPEST)
     p_u, p_v = _gradient(normals[..., 0] / depth)
     q_u, q_v = _gradient(normals[..., 1] / depth)
     valid = cv2.erode(front.astype(np.uint8), np.ones((3, 3), np.uint8), borderValue=0) > 0
@@ -405,14 +362,14 @@ class _Reading:
 
     @property
     def standard_error(self) -> float:
-        return _jackknife_error(self.agreements[1:])
+        return float(jackknife_error(self.agreements[1:]))
 
     def z_above(self, other: _Reading) -> float:
         """By how many standard errors this agreement lies above another's."""
         gain = self.agreement - other.agreement
         if len(self.agreements) != len(other.agreements):  # other pixels, as where nothing faced the camera
             return gain / max(1e-3, math.hypot(self.standard_error, other.standard_error))
-        return gain / max(1e-3, _jackknife_error(self.agreements[1:] - other.agreements[1:]))
+        return gain / max(1e-3, float(jackknife_error(self.agreements[1:] - other.agreements[1:])))
 
     def explains_better(self, other: _Reading) -> bool:
         if self.front_share < 0.7 or self.agreement < _LEAST_AGREEMENT:
@@ -420,11 +377,6 @@ class _Reading:
         if other.front_share < 0.5:
             return True
         return self.misfit < other.misfit - _LOG_FACTOR and self.z_above(other) > _Z
-
-
-def _jackknife_error(left_out: FloatArray) -> float:
-    count = len(left_out)
-    return math.sqrt((count - 1) / count * float(((left_out - left_out.mean()) ** 2).sum())) if count else 1.0
 
 
 @lru_cache(maxsize=4)  # as it is, levelled, and both read otherwise
@@ -481,7 +433,7 @@ def _relatives(evidence: Evidence, own: _Sums) -> Iterator[_Reading]:
     saved = "was the footage saved in another channel order, such as BGR? save it as RGB"
     for order in _orders():
         mix = np.eye(3)[list(order)]
-        yield from looked_at(f"with {_exchanged(order, _CHANNELS)}", saved, mix, None)
+        yield from looked_at(f"with {_exchanged(order, CHANNELS)}", saved, mix, None)
     transposed = evidence.inverse_of(evidence.rig.response.matrix.T)
     by_axis = "write M with a row per channel and a column per axis"
     yield from looked_at("with M transposed", by_axis, None, transposed)
@@ -552,19 +504,12 @@ def _finding(own: _Reading, better: list[_Reading]) -> Finding:
         if alone
         else f"an agreement of mixed derivatives of {own.agreement:.2f} ± {own.standard_error:.2f}"
     )
-    return Finding(
-        check="relatives",
-        level=Level.FATAL if fatal else Level.WARNING,
-        problem=f"the normals make no surface; the rig fits better {best.name}",
-        measured=measured,
-        expected=_EXPECTED,
-        remedy=fits,
-        certainty=certainty_from_z(z),
-    )
+    level, sure = Level.FATAL if fatal else Level.WARNING, certainty_from_z(z)
+    return Finding.of("relatives", level=level, certainty=sure, best=best.name, measured=measured, fits=fits)
 
 
 def _turn_deg(sums: _Sums) -> tuple[float, float]:
     """Return by how many degrees the lamps stand turned, clockwise in the picture, and its error."""
     rows = np.concatenate([sums.total, sums.left_out])
     angles = np.degrees(np.unwrap(np.arctan2(rows[:, 1], rows[:, 0]))) / 2
-    return float(angles[0]), max(0.1, _jackknife_error(angles[1:]))
+    return float(angles[0]), max(0.1, float(jackknife_error(angles[1:])))

@@ -3,17 +3,18 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
 
 from vntoolkit.arrays import Float32Array, FloatArray, Int64Array, Mask
-from vntoolkit.diagnosis.evidence import Evidence, lengths_of, scaled_normals
+from vntoolkit.diagnosis.evidence import STEEPEST, Evidence, jackknife_error, lengths_of, scaled_normals
 
 _BLUR_PX = 1.0
-_STEEPEST = 0.15
 _PIXELS_A_FRAME = 4000
 _TINY = np.float32(1e-6)
+_ROUNDS = 4  # of weighing outliers down
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -47,6 +48,33 @@ class SurfacePixels:
             positions=self.positions[chosen],
         )
 
+    @cached_property
+    def scaled(self) -> FloatArray:
+        """(n, 3), M⁻¹(r − a)."""
+        return self.scaled_normals(self.rgb)
+
+    @cached_property
+    def log_lengths(self) -> FloatArray:
+        """(n,) logarithms of |M⁻¹(r − a)|."""
+        return np.log(np.maximum(lengths_of(self.scaled), 1e-12))
+
+    @cached_property
+    def normals(self) -> FloatArray:
+        """(n, 3) unit vectors."""
+        return np.asarray(self.scaled / np.exp(self.log_lengths)[:, None])
+
+    @property
+    def of_wrong_m(self) -> list[FloatArray]:
+        """How log lengths depend on the normal where M is wrong, columns of (n,)."""
+        x, y, z = self.normals.T
+        return [x * x - z * z, y * y - z * z, x * y, x * z, y * z]
+
+    @property
+    def of_uneven_light(self) -> list[FloatArray]:
+        """How log lengths depend on the place where light is uneven, columns of (n,)."""
+        u, v = self.positions.T
+        return [u, v, u * u, v * v, u * v]
+
     def scaled_normals(self, rgb: FloatArray) -> FloatArray:
         """Return M⁻¹(rgb − a), (n, 3)."""
         lit = rgb - self.ambient
@@ -60,11 +88,13 @@ class SurfacePixels:
         return np.asarray(np.einsum("...ij,...j->...i", matrix, scaled) + self.ambient)
 
 
-def surface_pixels(evidence: Evidence, chosen: Callable[[int, Float32Array], Mask]) -> SurfacePixels:
+def surface_pixels(
+    evidence: Evidence, chosen: Callable[[int, Float32Array], Mask] | None = None
+) -> SurfacePixels:
     """Return pixels that face the camera, of what is chosen, blurred among each other.
 
     chosen: gives, for a frame's number and the lengths (h, w) of its M⁻¹(r − a), the pixels to take, (h, w);
-    the length of one that faces away is 0.
+    the length of one that faces away is 0. None: the evidence's surface.
     """
     rgb, index = [], []
     for k, frame in enumerate(evidence.light):
@@ -73,8 +103,11 @@ def surface_pixels(evidence: Evidence, chosen: Callable[[int, Float32Array], Mas
         light /= np.maximum(cv2.GaussianBlur(usable, (0, 0), _BLUR_PX), _TINY)[..., None]
         scaled = scaled_normals(evidence, light)
         length = lengths_of(scaled)
-        facing = scaled[..., 2] < -_STEEPEST * length
-        places = np.flatnonzero(facing & chosen(k, np.where(facing, length, np.float32(0.0))))
+        facing = scaled[..., 2] < -STEEPEST * length
+        lit = evidence.surface[k]
+        if chosen is not None:
+            lit = chosen(k, np.where(facing, length, np.float32(0.0)))
+        places = np.flatnonzero(facing & lit)
         places = places[:: max(1, len(places) // _PIXELS_A_FRAME)]
         rgb.append(light.reshape(-1, 3)[places])
         index.append(places)
@@ -108,7 +141,12 @@ class Regression:
 
 
 def regress_lengths(
-    columns: FloatArray, logs: FloatArray, pixels: SurfacePixels, rounds: int = 1, *, widely: bool = False
+    columns: FloatArray,
+    logs: FloatArray,
+    pixels: SurfacePixels,
+    rounds: int = _ROUNDS,
+    *,
+    widely: bool = False,
 ) -> Regression | None:
     """Fit log lengths (n,) by the columns (n, k) and a level for each frame, outliers weighed down.
 
@@ -144,8 +182,7 @@ def regress_lengths(
         left_normal, left_right = (np.tensordot(member, sums, axes=1) for sums in (normal, right))
         without = normal.sum(axis=0) - left_normal + ridge
         left_out = np.linalg.solve(without, (right.sum(axis=0) - left_right)[..., None])[:, :width, 0]
-        share = (len(member) - 1) / len(member)
-        errors.append(np.sqrt(share * ((left_out - left_out.mean(axis=0)) ** 2).sum(axis=0)))
+        errors.append(jackknife_error(left_out))
     return Regression(slopes=found[:width], errors=np.max(errors, axis=0))
 
 

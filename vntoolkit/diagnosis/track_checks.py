@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from vntoolkit.diagnosis.finding import Finding, Level
+from vntoolkit.diagnosis.finding import Finding
 
 _JUMP = 10.0  # times the expected error of the frame before; a surface that fades is lost more slowly
 _LEAST_ERROR_PX = 0.2
@@ -27,23 +27,8 @@ def findings_from_tracks(
     seen = shares >= _LEAST_VISIBLE
     rise = np.abs(np.diff(np.log(np.maximum(errors, _LEAST_ERROR_PX)))) * (seen[1:] != seen[:-1])
     rise[np.minimum(errors[:-1], errors[1:]) == 0] = 0.0  # beside the template
-    problem = f"tracking lost most of the surface in {low} of {len(shares)} frames, most in {numbers[worst]}"
-    remedy = "look at the checkerboard there, and give a template in the middle of the sequence (--template)"
-    jumps = bool(rise.max(initial=0.0) > np.log(_JUMP))
-    if jumps:
-        where = int(np.argmax(rise))
-        problem += f", at once between frames {numbers[where]} and {numbers[where + 1]}"
-        remedy = (
-            "the surface jumps there: film at a higher frame rate, or track the parts before and after by "
-            "themselves"
-        )
-    return [
-        Finding(
-            check="jump" if jumps else "lost",
-            level=Level.WARNING,
-            problem=problem,
-            measured=f"{shares[worst]:.0%} of the vertices reported visible",
-            expected=f"{_LEAST_VISIBLE:.0%} and more",
-            remedy=remedy,
-        )
-    ]
+    lost = {"low": low, "count": len(shares), "worst": numbers[worst], "share": shares[worst]}
+    if not rise.max(initial=0.0) > np.log(_JUMP):
+        return [Finding.of("lost", **lost)]
+    where = int(np.argmax(rise))
+    return [Finding.of("jump/tracks", **lost, first=numbers[where], second=numbers[where + 1])]

@@ -19,7 +19,7 @@ import numpy as np
 
 from vntoolkit.arrays import BoolArray, Float32Array, FloatArray, Mask
 from vntoolkit.diagnosis import evidence as evidences
-from vntoolkit.diagnosis.finding import Finding, Level, certainty_from_z
+from vntoolkit.diagnosis.finding import CLEAR_Z, Finding, Level, certainty_from_z
 from vntoolkit.diagnosis.surface_pixels import (
     SurfacePixels,
     regress_lengths,
@@ -27,6 +27,7 @@ from vntoolkit.diagnosis.surface_pixels import (
     surface_pixels,
 )
 from vntoolkit.diagnosis.white_balance import fit_gains
+from vntoolkit.photometry.fit_quality import angles_deg
 from vntoolkit.photometry.transfer import (
     Transfer,
     TransferCurve,
@@ -38,15 +39,12 @@ _LIT = 0.3  # of the length that the brightest twentieth exceeds, under the ligh
 _LIT_DARKER = 0.1
 _DARKEST = 0.01  # of full scale
 _LEAST_CHANNEL = 0.05  # of the brightest channel foretold: below it the curve's toe and noise decide
-_STEEPEST = 0.15
-_FEWEST_PIXELS = 400
-_ROUNDS = 4
+_ROUNDS = 8  # of weighing pairs of a calibration
 _LEAST_EFFECT = 0.004  # spread of the foretold logarithms: below it M and the curves say the same
 # Slope as read minus slope under the other reading: −1 where the curve is right, +1 where the other one is.
 # Photographs of statues and faces with the right curve reach 0.1, with the wrong one 1.7 and more.
 _NOTED = 0.5
 _CLEAR = 0.8  # below minus this, the footage is believed against the rig
-_Z = 4.0
 _CLEARLY_LESS = 0.65  # two free numbers always mend more than none, so a curve that mends this much may tie
 # Photographs of plaster read rightly have 0.94 and more, and 0.6; the same in sRGB 0.9 and less, and 1.4.
 _LESS = 0.92
@@ -60,37 +58,34 @@ _TURNED_ROUND = 0.5
 
 def check_transfer(evidence: evidences.Evidence) -> list[Finding]:
     """Find footage that was written with another transfer curve than it was read with."""
-    written = _against_the_other_kind(evidence)
+    other = evidences.of_the_other_kind(evidence.transfer)
+    written = _comparison(evidence, other)
     if written is None or not 0.0 < written.score <= _UNEXPLAINED:
         return []
     if -written.under_other > _TURNED_ROUND * written.as_read:
         return []
-    unevenly = _against_the_other_kind(evidence, unevenly=True)
+    unevenly = _comparison(evidence, other, unevenly=True)
     if (
         unevenly is not None
-        and unevenly.score > max(_HOLDS, _Z * unevenly.error)
-        and unevenly.as_read > _Z * unevenly.read_error
+        and unevenly.score > max(_HOLDS, CLEAR_Z * unevenly.error)
+        and unevenly.as_read > CLEAR_Z * unevenly.read_error
     ):
         written = max(written, unevenly, key=lambda each: each.z)
     elif (
-        written.score < max(_NOTED, _Z * written.error)
+        written.score < max(_NOTED, CLEAR_Z * written.error)
         or (unevenly is not None and unevenly.score < -_HOLDS and -unevenly.z > written.z)
-        or not _Spreads.of(evidence, written.curve).curve_is_best
+        or not _curve_is_best(evidence, other)
     ):
         return []
-    stated = evidence.transfer.to_text()
     return [
-        Finding(
-            check="transfer",
-            level=Level.FATAL if written.z > 2 * _Z else Level.WARNING,
-            problem=f"the transfer curve looks like {written.curve}, not {stated}: the brightness of one "
-            "material changes with its direction as between these two",
-            measured=f"a slope of {written.as_read:.2f} ± {written.read_error:.2f}",
-            expected="0",
-            remedy=f"give --transfer {written.curve} if the rig was calibrated so, else calibrate again; a "
-            "subject of several colours looks so too: calibrate it with one photograph per lamp "
-            "(--single-light)",
+        Finding.of(
+            "transfer",
+            level=Level.FATAL if written.z > 2 * CLEAR_Z else Level.WARNING,
             certainty=certainty_from_z(written.z),
+            curve=written.curve,
+            stated=evidence.transfer.to_text(),
+            slope=written.as_read,
+            error=written.read_error,
         )
     ]
 
@@ -102,27 +97,26 @@ def check_calibrated_transfer(evidence: evidences.Evidence) -> list[Finding]:
         return []
     back = _comparison(evidence, calibrated)
     quality = evidence.rig.quality
-    measured = quality is not None and quality.samples == 0  # lamps that were measured have no curve
-    if measured and back is not None and back.score < -_CLEAR and -back.score > _Z * back.error:
-        level, says = Level.NOTE, f"and the footage agrees with {given.to_text()}"
-    elif back is not None and back.score > _NOTED and back.score > _Z * back.error:
-        level, says = Level.FATAL, f"and the footage agrees with {calibrated.to_text()}"
+    no_curve = quality is not None and quality.samples == 0  # of lamps that were measured
+    if no_curve and back is not None and back.score < -_CLEAR and -back.score > CLEAR_Z * back.error:
+        level, says = Level.NOTE, f"agrees with {given.to_text()}"
+    elif back is not None and back.score > _NOTED and back.score > CLEAR_Z * back.error:
+        level, says = Level.FATAL, f"agrees with {calibrated.to_text()}"
     else:
-        level, says = Level.WARNING, "and the footage does not tell which is right"
-    slope = (
+        level, says = Level.WARNING, "does not tell which is right"
+    measured = (
         "no surface to measure on"
         if back is None
         else f"a slope of {back.as_read:.2f} ± {back.read_error:.2f}"
     )
     return [
-        Finding(
-            check="transfer",
+        Finding.of(
+            "transfer/calibrated",
             level=level,
-            problem=f"the footage is read as {given.to_text()} but the rig was calibrated as "
-            f"{calibrated.to_text()}, {says}",
-            measured=slope,
-            expected="0 where the curve is right, 1 where the rig's is",
-            remedy="leave --transfer out, so that the rig's curve is used, or calibrate with this curve",
+            given=given.to_text(),
+            calibrated=calibrated.to_text(),
+            says=says,
+            measured=measured,
         )
     ]
 
@@ -150,17 +144,12 @@ class _Comparison:
         return self.score / self.error
 
 
-def _against_the_other_kind(evidence: evidences.Evidence, *, unevenly: bool = False) -> _Comparison | None:
-    """Compare linear with encoded."""
-    return _comparison(evidence, evidences.of_the_other_kind(evidence.transfer), unevenly=unevenly)
-
-
 def _comparison(
     evidence: evidences.Evidence, other: Transfer, *, unevenly: bool = False
 ) -> _Comparison | None:
     """Compare the reading with another; None where too little is lit or M makes no difference."""
     pixels = _lit_pixels(evidence, other)
-    if len(pixels) < _FEWEST_PIXELS:
+    if len(pixels) < evidences.FEWEST_PIXELS:
         return None
     one = _slope(pixels, pixels.rgb, evidence.transfer, other, unevenly)
     reread = _reread(pixels.rgb, evidence.transfer, other)
@@ -176,41 +165,23 @@ def _comparison(
     )
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Spreads:
-    """Spread of the log lengths as read, under the other curve, and under other gains; None: no gains."""
+def _curve_is_best(evidence: evidences.Evidence, other: Transfer) -> bool:
+    """Tell where the lengths are clearly more alike under the other curve, and not more under other gains."""
+    pixels = _lit_pixels(evidence, other)
 
-    as_read: float
-    by_curve: float
-    by_gains: float | None
+    def reread(factor: float) -> FloatArray:
+        return pixels.scaled_normals(_reread(pixels.rgb * factor, evidence.transfer, other))
 
-    @property
-    def curve_is_best(self) -> bool:
-        """True where the lengths are clearly more alike under the curve, and not more under other gains."""
-        mends = self.by_curve < _CLEARLY_LESS * self.as_read
-        bar = self.by_curve * (_CLEARLY_LESS if mends else 1.0)
-        return self.by_curve < _LESS * self.as_read and (self.by_gains is None or self.by_gains > bar)
-
-    @classmethod
-    def of(cls, evidence: evidences.Evidence, curve: str) -> "_Spreads":
-        """Measure the same pixels three times."""
-        other = Transfer.from_text(curve)
-        pixels = _lit_pixels(evidence, other)
-
-        def reread(factor: float) -> FloatArray:
-            return pixels.scaled_normals(_reread(pixels.rgb * factor, evidence.transfer, other))
-
-        brighter, darker = (evidences.lengths_of(reread(factor)) for factor in (1.05, 1 / 1.05))
-        growth = float(np.median(np.log(brighter / darker))) / (2 * math.log(1.05))
-        by_gains = None
-        if (gains := fit_gains(evidence)) is not None:
-            undone = pixels.rgb * np.exp(-np.array([gains.logs[0], 0.0, gains.logs[1]]))
-            by_gains = spread_of_lengths(pixels.scaled_normals(undone), pixels.frames)
-        return cls(
-            as_read=spread_of_lengths(pixels.scaled_normals(pixels.rgb), pixels.frames),
-            by_curve=spread_of_lengths(reread(1.0), pixels.frames) / growth,
-            by_gains=by_gains,
-        )
+    brighter, darker = (evidences.lengths_of(reread(factor)) for factor in (1.05, 1 / 1.05))
+    growth = float(np.median(np.log(brighter / darker))) / (2 * math.log(1.05))
+    as_read = spread_of_lengths(pixels.scaled, pixels.frames)
+    by_curve = spread_of_lengths(reread(1.0), pixels.frames) / growth
+    gains = fit_gains(evidence)
+    if by_curve >= _LESS * as_read or gains is None:
+        return by_curve < _LESS * as_read
+    undone = pixels.rgb * np.exp(-np.array([gains.logs[0], 0.0, gains.logs[1]]))
+    by_gains = spread_of_lengths(pixels.scaled_normals(undone), pixels.frames)
+    return by_gains > by_curve * (_CLEARLY_LESS if by_curve < _CLEARLY_LESS * as_read else 1.0)
 
 
 def _reread(light: FloatArray, read: Transfer, other: Transfer) -> FloatArray:
@@ -247,8 +218,8 @@ def _slope(
     lit: BoolArray = evidences.darkest_channel(colours) > np.maximum(
         _LEAST_CHANNEL * evidences.brightest_channel(colours), _DARKEST
     )
-    lit &= normals[:, 2] < -_STEEPEST
-    if int(lit.sum()) < _FEWEST_PIXELS:
+    lit &= normals[:, 2] < -evidences.STEEPEST
+    if int(lit.sum()) < evidences.FEWEST_PIXELS:
         return None
     chosen, normals = pixels.of(lit), normals[lit] * typical
 
@@ -263,9 +234,8 @@ def _slope(
         return None
     columns = foretold[:, None]
     if unevenly:
-        u, v = chosen.positions.T
-        columns = np.column_stack([columns, normals, u, v, u * u, v * v, u * v])
-    found = regress_lengths(columns, np.log(length[lit] / typical), chosen, _ROUNDS)
+        columns = np.column_stack([columns, normals, *chosen.of_uneven_light])
+    found = regress_lengths(columns, np.log(length[lit] / typical), chosen)
     return None if found is None else (float(found.slopes[0]), max(float(found.errors[0]), 0.02))
 
 
@@ -294,18 +264,16 @@ def check_transfer_of_samples(normals: FloatArray, rgb: FloatArray, transfer: Tr
     chunks = min(_CHUNKS, len(normals))
     better = np.array([chunk.mean() for chunk in np.array_split(as_read - under_other, chunks)])
     z = float(better.mean() / max(better.std() / math.sqrt(chunks), 1e-6))
-    if z < _Z:
+    if z < CLEAR_Z:
         return []
     return [
-        Finding(
-            check="transfer",
-            level=Level.FATAL,
-            problem=f"the transfer curve looks like {other.to_text()}, not {transfer.to_text()}: one M "
-            "explains the calibration object better",
-            measured=f"a residual of {np.median(as_read):.1f} degrees",
-            expected=f"{np.median(under_other):.1f}, as under {other.to_text()}",
-            remedy=f"give --transfer {other.to_text()} (or bt709 for video)",
+        Finding.of(
+            "transfer/samples",
             certainty=certainty_from_z(z),
+            curve=other.to_text(),
+            stated=transfer.to_text(),
+            residual_deg=np.median(as_read),
+            least_deg=np.median(under_other),
         )
     ]
 
@@ -314,11 +282,10 @@ def _residuals_deg(normals: FloatArray, rgb: FloatArray) -> FloatArray:
     """Fit M and ambient light to pairs, outliers weighed down; return the angles (n,) it leaves, degrees."""
     design = np.column_stack([normals, np.ones(len(normals))])
     weight = np.ones(len(normals))
-    for _ in range(2 * _ROUNDS):
+    for _ in range(_ROUNDS):
         root = np.sqrt(weight)[:, None]
         unknowns = np.linalg.lstsq(design * root, rgb * root, rcond=None)[0]
         left = np.linalg.norm(rgb - design @ unknowns, axis=1)
         weight = 1.0 / (1.0 + (left / (3.0 * np.median(left) + 1e-9)) ** 2)
     back = np.linalg.solve(unknowns[:3].T, (rgb - unknowns[3]).T).T
-    cosine = np.einsum("ni,ni->n", back, normals) / np.maximum(np.linalg.norm(back, axis=1), 1e-12)
-    return np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
+    return angles_deg(back, normals)

@@ -12,9 +12,9 @@ from functools import lru_cache
 
 import numpy as np
 
-from vntoolkit.arrays import FloatArray, Int64Array
-from vntoolkit.diagnosis.evidence import Evidence, lengths_of
-from vntoolkit.diagnosis.finding import Finding, Level, certainty_from_z
+from vntoolkit.arrays import Array, FloatArray, Int64Array
+from vntoolkit.diagnosis.evidence import FEWEST_PIXELS, LARGEST_CHANGE, Evidence, lengths_of
+from vntoolkit.diagnosis.finding import CLEAR_Z, Finding, certainty_from_z
 from vntoolkit.diagnosis.lamp_nearness import changes_with_nearness
 from vntoolkit.diagnosis.surface_match import agreement_of
 from vntoolkit.diagnosis.surface_pixels import (
@@ -23,9 +23,9 @@ from vntoolkit.diagnosis.surface_pixels import (
     spread_of_lengths,
     surface_pixels,
 )
+from vntoolkit.photometry.fit_quality import angles_deg
 from vntoolkit.photometry.response import LightResponse
 
-_FEWEST_PIXELS = 400
 _STARTS = np.array([(red, blue) for red in np.linspace(-0.6, 0.6, 7) for blue in np.linspace(-0.6, 0.6, 7)])
 _PIXELS_A_START = 1000
 _APART = 0.2
@@ -34,9 +34,7 @@ _LONGEST_STEP = 0.15
 _LARGEST_LOG_GAIN = 0.7
 _NOTED_LOG_GAIN = 0.07  # 7 % turn a normal by about a degree and a half
 _LEFT = 0.6  # of the spread of the lengths that gains must not leave: two free numbers always mend a little
-_ROUNDS_OF_CHANGE = 4
-_Z_OF_CHANGE, _LEAST_ERROR_OF_CHANGE = 4.0, 0.001
-_LARGEST_CHANGE = 0.02  # 2 % in one channel turn a normal by about half a degree
+_LEAST_ERROR_OF_CHANGE = 0.001
 _Z = 7.0  # a backdrop without a mask, of one colour and flat, reaches 6.5
 
 
@@ -45,54 +43,33 @@ def check_white_balance(evidence: Evidence) -> list[Finding]:
     found = fit_gains(evidence)
     if found is None or not found.is_clear:
         return []
-    red, blue = (f"{100 * (math.exp(log) - 1):+.0f} %" for log in found.logs)
-    return [
-        Finding(
-            check="white-balance",
-            level=Level.WARNING,
-            problem="the white balance looks changed since calibration, or the subject has another colour: "
-            f"normals turn by {found.turn_deg:.0f} degrees in the median",
-            measured=f"red by {red} and blue by {blue} against green, which leaves {found.left:.0%} of the "
-            "spread of lengths",
-            expected="0 %",
-            remedy="lock it, and film or calibrate again; on a subject of another colour, calibrate on that "
-            "colour",
-            certainty=certainty_from_z(found.z),
-        )
-    ]
+    red, blue = 100 * np.expm1(found.logs)
+    sure = certainty_from_z(found.z)
+    turn_deg, left = found.turn_deg, found.left
+    return [Finding.of("white-balance", certainty=sure, turn_deg=turn_deg, red=red, blue=blue, left=left)]
 
 
 def check_changing_gains(evidence: Evidence) -> list[Finding]:
     """Find gains of the channels, or lamps, that change from the first frame to others."""
-    pixels = surface_pixels(evidence, lambda k, _: evidence.surface[k])
+    pixels = surface_pixels(evidence)
     seen = np.unique(pixels.frames)
-    if len(seen) < 2 or len(pixels) < _FEWEST_PIXELS * len(seen):
+    if len(seen) < 2 or len(pixels) < FEWEST_PIXELS * len(seen):
         return []
     changes = _changes(pixels, seen, evidence.rig.response)
     if changes is None:
         return []
     logs, errors = changes
-    sure = np.where(np.abs(logs) > _Z_OF_CHANGE * errors, np.abs(logs), 0.0).max(axis=1)
+    sure = np.where(np.abs(logs) > CLEAR_Z * errors, np.abs(logs), 0.0).max(axis=1)
     worst = int(sure.argmax())
-    if sure[worst] < _LARGEST_CHANGE:
+    if sure[worst] < LARGEST_CHANGE:
         return []
-    first, other = evidence.numbers[seen[0]], evidence.numbers[seen[worst + 1]]
+    first, last = evidence.numbers[seen[0]], evidence.numbers[seen[worst + 1]]
     red, blue = (
         f"{100 * math.expm1(log):+.1f} ± {100 * error:.1f} %"
         for log, error in zip(logs[worst], errors[worst], strict=True)
     )
-    return [
-        Finding(
-            check="drift",
-            level=Level.WARNING,
-            problem=f"the white balance or a lamp changes from frame {first} to {other}: the subject's "
-            "colours do, whatever its pose",
-            measured=f"{red} red, {blue} blue against green",
-            expected=f"less than {_LARGEST_CHANGE:.0%}",
-            remedy="lock exposure and white balance, let the lamps warm up, and film again",
-            certainty=certainty_from_z(float((np.abs(logs) / errors)[worst].max())),
-        )
-    ]
+    sure = certainty_from_z(float((np.abs(logs) / errors)[worst].max()))
+    return [Finding.of("drift/subject", certainty=sure, first=first, last=last, red=red, blue=blue)]
 
 
 def _changes(
@@ -105,22 +82,19 @@ def _changes(
     gains. So the change is estimated with ever more that is shared, and last with lamps that are as near as
     each frame says; by how much the five differ counts as an error.
     """
-    scaled = pixels.scaled_normals(pixels.rgb)
-    lengths = np.maximum(lengths_of(scaled), 1e-12)
-    normals = scaled / lengths[:, None]
-    (x, y, z), (u, v) = normals.T, pixels.positions.T
-    gains = changes_with_gains(pixels, scaled)[:, [0, 2]].T
-    near = changes_with_nearness(pixels, normals, response)
+    x, y, _ = pixels.normals.T
+    u, v = pixels.positions.T
+    gains = changes_with_gains(pixels.inverse, pixels.scaled)[:, [0, 2]].T
+    near = changes_with_nearness(pixels, response)
     in_frame = [pixels.frames == frame for frame in seen]
     changed = [gain * there for there in in_frame[1:] for gain in gains]
-    wrong_m = [x, y, x * x - z * z, y * y - z * z, x * y, x * z, y * z]
-    uneven = [u, v, u * u, v * v, u * v]
+    wrong_m, uneven = [x, y, *pixels.of_wrong_m], pixels.of_uneven_light
     both = [u * x, u * y, v * x, v * y]
     moving = [value * there for there in in_frame[1:] for value in (u, v, *near)]
     found = []
     for shared in ([], wrong_m, wrong_m + uneven, wrong_m + uneven + both, wrong_m + uneven + near + moving):
         columns = np.column_stack(changed + shared)
-        fit = regress_lengths(columns, np.log(lengths), pixels, _ROUNDS_OF_CHANGE)
+        fit = regress_lengths(columns, pixels.log_lengths, pixels)
         if fit is None:
             return None
         found.append((fit.slopes[: len(changed)], fit.errors[: len(changed)]))
@@ -151,10 +125,9 @@ class Gains:
 @lru_cache(maxsize=2)
 def fit_gains(evidence: Evidence) -> Gains | None:
     """Fit the gains; None where too little of the surface is in sight."""
-    pixels = surface_pixels(evidence, lambda k, length: evidence.surface[k])
-    if len(pixels) < _FEWEST_PIXELS:
+    pixels = surface_pixels(evidence)
+    if len(pixels) < FEWEST_PIXELS:
         return None
-    as_read = pixels.scaled_normals(pixels.rgb)
     logs, error, spread = _refined(pixels, np.zeros(2))
     few = pixels.of(slice(None, None, max(1, len(pixels) // _PIXELS_A_START)))
     start = _STARTS[int(np.argmin([_spread(few, logs) for logs in _STARTS]))]
@@ -163,14 +136,11 @@ def fit_gains(evidence: Evidence) -> Gains | None:
         # A backdrop of another colour can be as long as the subject under some gains, but is no surface then.
         if farther[2] < _LEFT * spread and _agreement(evidence, farther[0]) > _agreement(evidence, logs):
             logs, error, spread = farther
-    with_gains = _with_gains(pixels, logs)
-    lengths = lengths_of(with_gains) * lengths_of(as_read)
-    cosines = (with_gains * as_read).sum(axis=1) / np.maximum(lengths, 1e-12)
     return Gains(
         logs=logs,
         z=float(np.max(np.abs(logs) / error)),
-        left=_spread(pixels, logs) / max(spread_of_lengths(as_read, pixels.frames), 1e-9),
-        turn_deg=float(np.degrees(np.median(np.arccos(np.clip(cosines, -1.0, 1.0))))),
+        left=_spread(pixels, logs) / max(spread_of_lengths(pixels.scaled, pixels.frames), 1e-9),
+        turn_deg=float(np.median(angles_deg(_with_gains(pixels, logs), pixels.scaled))),
     )
 
 
@@ -194,9 +164,10 @@ def _refined(pixels: SurfacePixels, logs: FloatArray) -> tuple[FloatArray, Float
     for _ in range(_STEPS):
         scaled = _with_gains(pixels, logs)
         found = regress_lengths(
-            changes_with_gains(pixels, scaled)[:, [0, 2]],
+            changes_with_gains(pixels.inverse, scaled)[:, [0, 2]],
             np.log(np.maximum(lengths_of(scaled), 1e-12)),
             pixels,
+            rounds=1,
         )
         if found is None:
             break
@@ -205,11 +176,11 @@ def _refined(pixels: SurfacePixels, logs: FloatArray) -> tuple[FloatArray, Float
     return logs, error, _spread(pixels, logs)
 
 
-def changes_with_gains(pixels: SurfacePixels, scaled: FloatArray) -> FloatArray:
+def changes_with_gains(inverse: Array, scaled: Array) -> FloatArray:
     """Return how log lengths follow the channels' log gains, (n, 3): n · M⁻¹ E_k M n.
 
-    scaled: M⁻¹(r − a), (n, 3).
+    inverse: M⁻¹, (3, 3) or (n, 3, 3). scaled: M⁻¹(r − a), (n, 3).
     """
     direction = scaled / np.maximum(lengths_of(scaled), 1e-12)[:, None]
-    colour = np.einsum("...ij,...j->...i", np.linalg.inv(pixels.inverse), direction)
-    return np.asarray(np.einsum("...i,...ij->...j", direction, pixels.inverse) * colour)
+    colour = np.einsum("...ij,...j->...i", np.linalg.inv(inverse), direction)
+    return np.asarray(np.einsum("...i,...ij->...j", direction, inverse) * colour, np.float64)

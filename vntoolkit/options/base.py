@@ -52,6 +52,7 @@ OptionalFile: TypeAlias = Named[Path | None, str | os.PathLike[str] | None]
 class Options:
     """Brings what it is given into the type that a field holds; refuses what has none.
 
+    What a class refuses beside that is in its `_require_valid`; those of all its bases are asked, too.
     WITHOUT: fields that a verb neither takes nor shows.
     """
 
@@ -67,6 +68,9 @@ class Options:
         following = getattr(super(), "__post_init__", None)
         if following is not None:
             following()
+        for each in reversed(kind.__mro__):
+            if "_require_valid" in vars(each):
+                each._require_valid(self)
 
     def part(self, kind: type[Part]) -> Part:
         """Return the options of one stage, taken from the fields of these by their names."""

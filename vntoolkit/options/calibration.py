@@ -46,8 +46,7 @@ class ResponseFitOptions(Options):
     inlier_share: float = 0.08
     """(MSAC) largest residual of an inlier, divided by the median length of the colours."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _require_valid(self) -> None:
         if not 0 <= self.shadow_share < 1:
             raise BadInput(f"shadow share: expected 0 to 1, got {self.shadow_share:g}")
         if not (0 < self.outlier_sigmas < np.inf and 0 < self.inlier_share < np.inf):
@@ -64,8 +63,7 @@ class IntrinsicsOptions(Options):
     tangential: int = 0
     """Number of tangential coefficients, 0 or 2."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _require_valid(self) -> None:
         if self.radial_terms not in (0, 1, 2) or self.tangential not in (0, 2):
             raise BadInput("intrinsics: expected 0 to 2 radial and 0 or 2 tangential terms")
 
@@ -84,8 +82,7 @@ class BoardOptions(Options):
     fit: ResponseFitOptions = field(default_factory=ResponseFitOptions)
     """How M is fitted."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _require_valid(self) -> None:
         require_positive(self.largest_error_px, "board: largest error in pixels")
         require_in_range(self.degree, 0, HIGHEST_DEGREE, "board: degree of the variation")
 
@@ -100,8 +97,7 @@ class SphereOptions(Options):
     fit: ResponseFitOptions = field(default_factory=ResponseFitOptions)
     """How M is fitted."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _require_valid(self) -> None:
         if not 0 <= self.rim_share < 0.5:
             raise BadInput(f"rim share: expected 0 to 0.5, got {self.rim_share:g}")
 
@@ -145,8 +141,7 @@ class PressOptions(Options):
     """Pixels whose colour differs from M's by more than this many robust standard deviations (dots, creases)
     are left out of M's fit."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _require_valid(self) -> None:
         if not (0 < self.ball_radius_mm < np.inf and 0 < self.pixel_mm < np.inf):
             raise BadInput("presses: expected a positive ball radius and pixel size in mm")
         if not 0 < self.contact_share <= 1:

@@ -54,8 +54,7 @@ class IntegrationOptions(Options):
     most_iterations: int = 1000
     """Most iterations of poisson; reaching them is an error."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _require_valid(self) -> None:
         require_in_range(self.steepest_slope_deg, 1.0, 89.9, "steepest slope in degrees")
         require_in_range(self.least_weight, 0.0, 1.0, "least weight")
         require_in_range(self.tolerance, 1e-12, 1e-2, "tolerance of the linear solver")
@@ -72,8 +71,7 @@ class MeshOptions(Options):
     stride: int = 1
     """Use every stride-th pixel in both directions."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _require_valid(self) -> None:
         if not self.largest_step > 0:
             raise BadInput(f"largest step: expected a positive number of pixels, got {self.largest_step:g}")
         if self.stride < 1:

@@ -63,8 +63,7 @@ class GarmentFitOptions(Options):
     """Pose of the arms when the garment is attached. A fit file that gives a pose or landmarks overrides it.
     """
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _require_valid(self) -> None:
         if self.fullness is not None and not 0 < self.fullness < np.inf:
             raise BadInput(f"fullness: expected a positive number, got {self.fullness:g}")
 
@@ -96,8 +95,7 @@ class WeightOptions(Options):
     exclude: tuple[str, ...] = ()
     """Joints whose bones get no weight, as names or patterns (`*Hand*`)."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _require_valid(self) -> None:
         if self.neighbours is not None and self.neighbours < 1:
             raise BadInput(f"neighbours: expected at least 1, got {self.neighbours}")
 
@@ -134,8 +132,7 @@ class ClockOptions(Options):
     """Frames per second of the result. Default: the cloth's. Blender plays a file at its scene's rate, 24
     unless you set it to the file's."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _require_valid(self) -> None:
         for name, value in (("speed", self.speed), ("frame rate", self.frame_rate_hz)):
             if value is not None and not 0 < value < np.inf:
                 raise BadInput(f"{name}: expected a positive number, got {value:g}")
@@ -215,8 +212,7 @@ class DressOptions(Options):
     weights: WeightOptions = field(default_factory=WeightOptions)
     clock: ClockOptions = field(default_factory=ClockOptions)
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _require_valid(self) -> None:
         if not 0 < self.figure_height < np.inf:
             raise BadInput(f"figure height: expected positive metres, got {self.figure_height:g}")
         if self.max_stretch != 0 and not self.max_stretch > 1:

@@ -35,8 +35,7 @@ class AlignmentOptions(Options):
     samples: int = 20000
     """Vertices that are paired."""
 
-    def __post_init__(self) -> None:
+    def _require_valid(self) -> None:
         """Refuse what leaves nothing to align by."""
-        super().__post_init__()
         if self.samples < 3:
             raise BadInput(f"alignment: expected at least 3 samples, got {self.samples}")

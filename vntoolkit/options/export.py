@@ -59,8 +59,7 @@ class CleanOptions(Options):
     most_faces: int | None = None
     """Reduce to this many triangles by quadric edge collapse; default: keep all."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _require_valid(self) -> None:
         if min(self.smallest_piece, self.largest_hole) < 0:
             raise BadInput("cleaning: expected smallest piece and largest hole of 0 or more")
         if self.most_faces is not None and self.most_faces < 1:
@@ -134,8 +133,7 @@ class ExportOptions(Options):
     cleaning: CleanOptions | None = None
     """What is cleaned of the frames' meshes; None for nothing."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _require_valid(self) -> None:
         if self.scale is not None and not self.scale > 0:
             raise BadInput(f"scale: expected a positive number of metres, got {self.scale:g}")
         if self.to is ExportFormat.GLB and (

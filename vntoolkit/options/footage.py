@@ -17,9 +17,8 @@ class PictureLimits(Options):
     max_megapixels: float = 200.0
     """Larger images and frames are refused before memory is asked for them (million pixels)."""
 
-    def __post_init__(self) -> None:
+    def _require_valid(self) -> None:
         """Refuse limits that would let everything in, or nothing."""
-        super().__post_init__()
         if not self.max_megapixels > 0 or math.isinf(self.max_megapixels):
             raise BadInput(
                 f"--max-megapixels: expected a number above 0, such as 400, got {self.max_megapixels:g}"
@@ -33,8 +32,7 @@ class MeshLimits(Options):
     max_vertices: int = 20_000_000
     """Meshes and point clouds of more vertices are refused, and so are files too long for as many."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _require_valid(self) -> None:
         if self.max_vertices < 1:
             raise BadInput(
                 f"--max-vertices: expected a whole number above 0, such as 50000000, got {self.max_vertices}"
@@ -88,8 +86,7 @@ class SensorOptions(Options):
     """Significant bits of an integer sample where the file does not tell, such as 12 for 12-bit values stored
     in 16-bit PNG."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _require_valid(self) -> None:
         if self.bits is not None:
             require_in_range(self.bits, 1, 16, "capture: bits")
 
@@ -105,8 +102,7 @@ class MatteOptions(Options):
     the background is a clean plate, the set under the same lamps without the subject, and is not subtracted.
     """
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _require_valid(self) -> None:
         require_in_range(self.mask_level, 0.0, 1.0, "mask level")
         if self.key is not None:
             require_in_range(self.key, 1e-6, 1.0, "key")

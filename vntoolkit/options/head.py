@@ -32,8 +32,7 @@ class SilhouetteOptions(Options):
     """Mean of the channels, 0 to 1 of full scale, above which a pixel is subject, before the contour is moved
     to the edge beside it; default: found from the image's border."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _require_valid(self) -> None:
         if self.threshold is not None and not 0 < self.threshold < 1:
             raise BadInput(f"silhouette threshold: expected 0 to 1, got {self.threshold:g}")
 
@@ -51,8 +50,7 @@ class TrackOptions(Options):
     margin_px: int = 9
     """Least distance of a corner from the silhouette's edge, pixels."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _require_valid(self) -> None:
         if self.corners < 50 or self.window_px < 5 or self.corner_spacing_px < 1 or self.margin_px < 0:
             raise BadInput("tracks: expected at least 50 corners, a window of 5 px and no negative distance")
 
@@ -80,8 +78,7 @@ class PoseOptions(Options):
     least_turn_deg: float = 40.0
     """Smallest turn from one end to the other that carries a calibration."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _require_valid(self) -> None:
         if self.pose_tracks < LEAST_TRACKS or not 0 < self.least_turn_deg < 180:
             raise BadInput(
                 f"poses: expected at least {LEAST_TRACKS} tracks and a least turn from 0 to 180 degrees"
@@ -95,8 +92,7 @@ class HullOptions(Options):
     hull_cells: int = 128
     """Cells along the longest side of the box."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _require_valid(self) -> None:
         if not 16 <= self.hull_cells <= 512:
             raise BadInput(f"hull: expected 16 to 512 cells, got {self.hull_cells}")
 
@@ -130,8 +126,7 @@ class StereoOptions(Options):
     smoothing_px: float = 2.0
     """Standard deviation of the smoothing of the depth in a map."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _require_valid(self) -> None:
         if self.references < 1 or self.stereo_window_px < 5 or self.stereo_window_px % 2 == 0:
             raise BadInput("stereo: expected at least one reference and an odd window of 5 px or more")
         if not self.neighbour_angles_deg or min(self.neighbour_angles_deg) <= 0:
@@ -169,8 +164,7 @@ class FusionOptions(Options):
     """The hull itself is surface where no depth of stereo lies within this distance, as a share of the
     diagonal."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _require_valid(self) -> None:
         if not 4 <= self.fusion_depth <= 12 or self.confirmations < 0:
             raise BadInput("fusion: expected a depth of 4 to 12 and no negative number of confirmations")
         if min(self.agreement, self.hull_gap) <= 0:
@@ -186,8 +180,7 @@ class SampleOptions(Options):
     light_points: int = 3000
     """Points of the skin, spread over orientations."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _require_valid(self) -> None:
         if self.light_frames < 3 or self.light_points < 100:
             raise BadInput("light: expected at least 3 frames and 100 points")
 
@@ -204,8 +197,7 @@ class LightOptions(Options):
     light_inlier: float = 0.12
     """Largest colour error of an inlier over its colour's length."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _require_valid(self) -> None:
         if self.light_draws < 1 or not 0 < self.light_inlier < 1:
             raise BadInput("light: expected at least one draw and an inlier share from 0 to 1")
 

@@ -30,8 +30,7 @@ class InversionOptions(Options):
     clipped: Named[ClippedPixels, Literal["downweight", "exclude"]] = named(ClippedPixels.DOWNWEIGHT)
     """What becomes of saturated pixels."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _require_valid(self) -> None:
         require_positive(self.relative_albedo, "relative albedo")
         require_positive(self.albedo_tolerance, "albedo tolerance")
         if not 0 < self.darkest < 1:

@@ -18,8 +18,7 @@ class ViewerOptions(Options):
     port: int = 8080
     """Port of the page; the next free one is taken where it is in use."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _require_valid(self) -> None:
         if not 0 < self.port < 65536:
             raise BadInput(f"port: expected 1 to 65535, got {self.port}")
 
@@ -36,8 +35,7 @@ class ScenePageOptions(Options):
     """Most frames on that page, evenly spread over those there are; 12,000 vertices and four pictures of 640
     pixels take about 0.3 MB a frame."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _require_valid(self) -> None:
         if self.vertices < 4 or self.picture_px < 1 or self.most_frames < 1:
             raise BadInput("scene: expected at least 4 vertices, one pixel and one frame")
 
@@ -53,8 +51,7 @@ class ReportOptions(Options):
     footage: str = ""
     """Where the footage is now, if not where it was when it was reconstructed."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _require_valid(self) -> None:
         if self.samples < 1 or self.picture_height < 1:
             raise BadInput("report: expected at least one sample frame and one pixel")
 
@@ -72,8 +69,7 @@ class CameraOptions(Options):
     """Frames a second that the camera is asked for; a video plays at its own with --realtime, else as fast as
     it can be read."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _require_valid(self) -> None:
         if self.width < 1 or self.height < 1 or not 0 < self.rate < math.inf:
             raise BadInput(
                 "camera: expected a positive width, height and rate, got "

@@ -80,8 +80,7 @@ class ReconstructOptions(Options):
         """True if depth is computed and its free constant is fixed by a reference frame."""
         return self.depth_offset is DepthOffset.REFERENCE and self.to is not Product.NORMALS
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _require_valid(self) -> None:
         if self.distance_m is not None and not self.distance_m > 0:
             raise BadInput(f"distance: expected a positive number of metres, got {self.distance_m:g}")
         if not isinstance(self.materials, MaterialSearch) and not 1 <= self.materials <= MOST_MATERIALS:

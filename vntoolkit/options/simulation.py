@@ -43,8 +43,7 @@ class SceneOptions(Options):
     sample: str | None = None
     """Scene whose material lies in the board's hole. Default: a grey cloth or paper."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _require_valid(self) -> None:
         if self.width < 16 or self.height < 16:
             raise BadInput(f"simulate: expected an image of at least 16×16, got {self.width}×{self.height}")
         if self.field_width_m is not None and not 0.01 <= self.field_width_m <= 5.0:
@@ -60,8 +59,7 @@ class RenderOptions(Options):
     threads: int = 0
     """For ray casting, 0 = all cores."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _require_valid(self) -> None:
         if self.samples not in (1, 5, 9):
             raise BadInput(f"samples: expected 1, 5 or 9 per pixel, got {self.samples}")
 
@@ -107,8 +105,7 @@ class Nuisances(Options):
     black_level: float = 0.0
     """Linear value that means no light, 0 to 0.5."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _require_valid(self) -> None:
         require_in_range(self.blur_px, 0.0, 20.0, "blur_px")
         require_in_range(self.full_well_electrons, 1.0, 1e9, "full_well_electrons")
         require_in_range(self.read_noise_electrons, 0.0, 1e6, "read_noise_electrons")
@@ -181,8 +178,7 @@ class DemoOptions(Options):
     height: int = 480
     """Height of the images, pixels, at least 480."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _require_valid(self) -> None:
         if not 1 <= self.frames <= 1000:
             raise BadInput(f"demo: expected 1 to 1000 frames, got {self.frames}")
         if self.width < _LEAST_WIDTH or self.height < _LEAST_HEIGHT:

@@ -45,8 +45,7 @@ class TrackingOptions(Options):
     data_share: float = _PAPERS_SHARE
     """Share of the data term in the translation method (α), 0 to 1. Default: the paper's."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _require_valid(self) -> None:
         require_in_range(self.data_share, 1e-3, 1.0, "data share α")
         require_in_range(self.smoothing_length, 0.0, 1e3, "smoothing length in edges")
         name = self.method.value
@@ -65,6 +64,5 @@ class CheckerboardOptions(Options):
     square_px: int = 16
     """Side of a square of the checkerboard on the template, pixels."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _require_valid(self) -> None:
         require_in_range(self.square_px, 1, 10_000, "square of the checkerboard in pixels")

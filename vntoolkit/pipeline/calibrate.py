@@ -136,7 +136,7 @@ def calibrate_sphere(job: CalibrationJob, options: SphereOptions) -> tuple[Rig, 
         result = fit_response_to_sphere(frame, camera, mask, options, rng)
     else:
         alone = _alone(capture, switched)
-        dark = mean_frame(_numbered(capture, switched.dark)) if switched.dark else None
+        dark = mean_frame(map(capture.frame, switched.dark)) if switched.dark else None
         result = fit_response_to_switched_sphere(alone, camera, mask, options, rng, dark)
     response = result.fit.response
     response = _with_single_lights(job, response, mask)
@@ -159,14 +159,7 @@ def _alone(capture: Capture, switched: SwitchedLamps) -> list[LinearFrame]:
         *map(len, switched.alone),
         len(switched.dark),
     )
-    return [mean_frame(_numbered(capture, numbers)) for numbers in switched.alone]
-
-
-def _numbered(capture: Capture, numbers: Sequence[int]) -> Iterator[LinearFrame]:
-    chosen = set(numbers)
-    for frame in capture.frames(min(chosen), max(chosen) + 1):
-        if frame.number in chosen:
-            yield frame
+    return [mean_frame(map(capture.frame, numbers)) for numbers in switched.alone]
 
 
 def calibrate_board(

@@ -99,18 +99,17 @@ class DressedFigure:
         return DressingMeter(self.template, on_figure, self.fitting.sleeved, skeleton, has_sleeves=not bare)
 
     def frames(self) -> Iterator[Points]:
-        """Yield the vertices (n, 3) of each frame of the clock."""
-        for index, rest in enumerate(self.rest_frames()):
-            yield self._posed(rest, index)
+        """Return the vertices (n, 3) of each frame of the clock, one after the other."""
+        return map(self.frame, range(len(self)))
 
     def rest_frames(self) -> Iterator[Points]:
-        """Yield the captured cloth (n, 3) of each frame of the clock, in the pose of attachment."""
-        for index in range(len(self)):
-            yield self._rest_frame(index)
+        """Return the captured cloth (n, 3) of each of them, in the pose of attachment."""
+        return map(self._rest_frame, range(len(self)))
 
     def frame(self, index: int) -> Points:
         """Return the vertices (n, 3) of one frame of the clock."""
-        return self._posed(self._rest_frame(index), index)
+        pose, rest = pose_of_frame(self.motion, index), self._rest_frame(index)
+        return skinned_vertices(rest, self.weights, pose, self.rest_from_model, self.blend)
 
     @cached_property
     def _kept(self) -> dict[int, Float32Array]:
@@ -196,10 +195,6 @@ class DressedFigure:
             shape_weights=weights,
             shape_error=error,
         )
-
-    def _posed(self, rest: Points, index: int) -> Points:
-        pose = pose_of_frame(self.motion, index)
-        return skinned_vertices(rest, self.weights, pose, self.rest_from_model, self.blend)
 
 
 def dress(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -60,15 +60,13 @@ class ExportSummary:
     """What was exported.
 
     out: file or folder. frames: in it. kept: of these, from an earlier run. is_tracked: the registered
-    surface; None where no mesh is written. offset: (3,) by which it was moved, camera axes, lengths of the
-    file.
+    surface; None where no mesh is written.
     """
 
     out: Path
     frames: int
     kept: int
     is_tracked: bool | None = None
-    offset: Vector3 = field(default_factory=lambda: np.zeros(3))
 
 
 def export(
@@ -162,7 +160,7 @@ def _export_animation(
             camera=camera,
             texture=None if texture is None else texture.beside(out),
         )
-    return ExportSummary(out=out, frames=count, kept=0, is_tracked=True, offset=offset)
+    return ExportSummary(out=out, frames=count, kept=0, is_tracked=True)
 
 
 def offset_of(track: Tracks, options: ExportOptions, factor: float) -> Vector3:
@@ -217,9 +215,7 @@ def _export_folder(
                 writer.write(out, number)
                 on_frame()
         writer.finish(out)
-    return ExportSummary(
-        out=out, frames=len(numbers), kept=len(kept), is_tracked=writer.is_tracked, offset=writer.offset
-    )
+    return ExportSummary(out=out, frames=len(numbers), kept=len(kept), is_tracked=writer.is_tracked)
 
 
 EXPORT = FolderKind(

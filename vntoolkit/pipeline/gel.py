@@ -96,7 +96,7 @@ class Gel:
             found = findings_from_touches(self.rig, self._background, [filmed], [result])
             judge(found, self._allow)
             self._checked = True
-        return _touch(result, self._processor)
+        return _touch(result)
 
     def _encoded(self, frame: Array, name: str) -> EncodedFrame:
         values = np.asarray(frame)
@@ -164,7 +164,7 @@ def _colours(rig: Rig, frame: LinearFrame) -> FloatArray:
     return colours_by_place(rectified.rgb, ~rectified.clipped)
 
 
-def _touch(result: FrameResult, processor: FrameProcessor) -> Touch:
+def _touch(result: FrameResult) -> Touch:
     depth, contact, normals = result.depth_map, result.contact, result.normal_map
     assert depth is not None
     assert contact is not None

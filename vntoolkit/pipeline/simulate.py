@@ -73,7 +73,6 @@ _DISPLAY_GAMMA = 2.2
 class SimulationSummary:
     """What a run made. rendered: frames rendered now; frames: of the capture."""
 
-    folder: Path
     frames: int
     rendered: int
 
@@ -100,7 +99,7 @@ def simulate(
         resume = begin_run(folder.root, SIMULATION, job.description(), overwrite=overwrite)
         if resume and folder.video.exists():
             if folder.is_complete(count):
-                return SimulationSummary(folder=folder.root, frames=count, rendered=0)
+                return SimulationSummary(frames=count, rendered=0)
             logger.warning("%s: true maps are gone, so all frames are rendered again", folder.truth)
         write_fixed_truth(job)
         missing = [place for place in range(count) if not folder.staged(place).exists()]
@@ -113,7 +112,7 @@ def simulate(
         filmed = (read_image(folder.staged(place)) for place in range(count))
         write_video(folder.video, filmed, job.built.frame_rate_hz / job.numbers.step)
         remove_numbered(folder.staged(0).parent, ".png", range(count))
-    return SimulationSummary(folder=folder.root, frames=count, rendered=len(missing))
+    return SimulationSummary(frames=count, rendered=len(missing))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

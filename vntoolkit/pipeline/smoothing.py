@@ -23,28 +23,14 @@ def smoothed_frames(capture: Capture, block: range, sameness: float) -> Iterator
     if not sameness > 0:
         yield from capture.encoded_frames(block.start, block.stop, block.step)
         return
-    last = capture.info.frame_count - 1
-    if block.step == 1 and not capture.info.missing:
-        start, stop = max(0, block.start - 1), min(last + 1, block.stop + 1)
-        window: list[EncodedFrame] = []
-        for frame in capture.encoded_frames(start, stop):
-            window.append(frame)
-            if len(window) == 3:
-                yield _blended(window[0], window[1], window[2], sameness)
-                window.pop(0)
-            elif len(window) == 2 and start == block.start:
-                yield _blended(window[0], window[0], window[1], sameness)
-        if stop == block.stop:
-            yield _blended(window[-2] if len(window) > 1 else window[-1], window[-1], window[-1], sameness)
-        return
+    read: dict[int, EncodedFrame] = {}
+    there = set(capture.present)
     for number in block:
-        if number in capture.info.missing:
-            continue
-        frames = list(capture.encoded_frames(max(0, number - 1), min(last, number + 1) + 1))
-        here = [frame.number for frame in frames].index(number)
-        yield _blended(
-            frames[max(0, here - 1)], frames[here], frames[min(here + 1, len(frames) - 1)], sameness
-        )
+        around = {number - 1, number, number + 1} & there
+        if number in around:
+            read = {n: read[n] if n in read else capture.encoded(n) for n in sorted(around)}
+            now = read[number]
+            yield _blended(read.get(number - 1, now), now, read.get(number + 1, now), sameness)
 
 
 def _blended(before: EncodedFrame, now: EncodedFrame, after: EncodedFrame, sameness: float) -> EncodedFrame:

@@ -1,7 +1,6 @@
 """Registration of all frames of a reconstruction to one moving mesh."""
 
 import logging
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -80,7 +79,6 @@ class TrackSummary:
     resumed: int
     missing: tuple[int, ...]
     visible: tuple[float, ...]
-    seconds: float
 
 
 def track(
@@ -98,7 +96,6 @@ def track(
     not there and for a target that holds something else, before anything there is touched; `CannotWrite`
     while another run is at work in one of the folders.
     """
-    started = time.perf_counter()
     source = open_result(job.folder, footage=job.footage, background=job.background)
     numbers = source.frames_to_track
     there = [n for n in numbers if has_maps(source, n)]
@@ -142,7 +139,6 @@ def track(
         resumed=resumed,
         missing=missing,
         visible=visible,
-        seconds=time.perf_counter() - started,
     )
 
 

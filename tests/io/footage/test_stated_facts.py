@@ -165,12 +165,8 @@ def test_stills_state_curves_too(tmp_path):
     exif.get_ifd(0x8769)[0xA001] = 1
     Image.fromarray(_arrow()).save(tmp_path / "a.jpg", exif=exif)
     assert open_capture(tmp_path / "a.jpg").transfer == Transfer.from_text("srgb")
-    assert open_capture(_png(tmp_path / "b.png")).info.stated_transfer == ""
-
-
-def _png(path: Path) -> Path:
-    Image.fromarray(_arrow()).save(path)
-    return path
+    Image.fromarray(_arrow()).save(tmp_path / "b.png")
+    assert open_capture(tmp_path / "b.png").info.stated_transfer == ""
 
 
 def test_camera_logs_read_codes_whatever_the_range(tmp_path):

@@ -225,13 +225,17 @@ class Capture(Displayed):
                 )
             background = footage.frame(0).rgb
         require_shape(background, (None, None, 3), name, BadCapture)
-        height, width = background.shape[:2]
-        if (width, height) != (self.info.width, self.info.height):
-            raise BadCapture(
-                f"{name}: the background is {width}×{height}, the footage {self.info.width}×"
-                f"{self.info.height}: film both with the same settings"
-            )
+        require_size_of(self.info, (background.shape[1], background.shape[0]), name)
         return np.asarray(background, dtype=np.float32)
+
+
+def require_size_of(footage: CaptureInfo, size: tuple[int, int], background: str) -> None:
+    """Raise `BadCapture` where a background's width and height are not the footage's."""
+    if size != (footage.width, footage.height):
+        raise BadCapture(
+            f"{background}: the background is {size[0]}×{size[1]}, the footage {footage.width}×"
+            f"{footage.height}: film both with the same settings"
+        )
 
 
 def open_capture(source: Path | str, options: CaptureOptions | None = None) -> Capture:

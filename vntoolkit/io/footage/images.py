@@ -361,7 +361,11 @@ def header_of_stream(stream: BinaryIO, name: str, error: type[BadInput] = BadCap
     stream.seek(0)
     try:
         if data.startswith(exr.MAGIC):
-            header = _of_exr(exr.read_exr_header(data, name, error))
+            found = exr.read_exr_header(data, name, error)
+            header = ImageHeader(
+                format="EXR", width=found.width, height=found.height, channels=len(found.channels), bits=32,
+                floating=True, stated=found.stated,
+            )  # fmt: skip
         elif data.startswith(_TIFF):
             header = _tiff(stream if size > len(data) else io.BytesIO(data), name, error)
         else:
@@ -376,13 +380,6 @@ def header_of_stream(stream: BinaryIO, name: str, error: type[BadInput] = BadCap
             f"{name}: {size / 1e6:.0f} MB are more than one {header.format} of {size_px} pixels takes"
         )
     return header
-
-
-def _of_exr(found: exr.ExrHeader) -> ImageHeader:
-    return ImageHeader(
-        format="EXR", width=found.width, height=found.height, channels=len(found.channels), bits=32,
-        floating=True, stated=found.stated,
-    )  # fmt: skip
 
 
 def _by_pillow(data: bytes, name: str, codes: bytes, error: type[BadInput]) -> ImageHeader:

@@ -20,7 +20,6 @@ import cv2
 import numpy as np
 
 from vntoolkit.arrays import Array, Float32Array, Matrix3, Vector3
-from vntoolkit.native import njit
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.transfer import Transfer, linear_from_encoded
 
@@ -29,9 +28,6 @@ from vntoolkit.photometry.transfer import Transfer, linear_from_encoded
 _NOISE_OVER_DETAIL = 0.01
 _CODES = 1024  # of the decoding table
 _DARKEST = 1e-3  # of M's own brightness: no direction is known below
-# What the detail, its waves across against along, and its diagonal ones, change in Cb and in Cr; and how far
-# the detail is an edge.
-_KINDS = 7
 # Luma beside a place over the greatest there: below the first it is an edge, above the other one relief.
 _EDGE, _NO_EDGE = np.float32(0.25), np.float32(0.5)
 _FAINT = 0.02  # of full scale: less luma by chroma's samples is rounding, and tells no share
@@ -68,27 +64,31 @@ class LumaDetail:
         coarse = np.stack([_mean_of_blocks(luma, *steps), blue, red], dtype=np.float32, casting="unsafe")
         # the turns change slowly: a fourth of the samples tells them
         fewer = np.stack([_mean_of_blocks(plane, 2, 2) for plane in coarse])
-        turns = np.empty((_KINDS, *fewer.shape[1:]), np.float32)
         to_rgb, shift = matrix.astype(np.float32), offset.astype(np.float32)
         from_rgb = np.linalg.inv(matrix).astype(np.float32)
         faint = _FAINT * from_rgb[0].sum()
         dark = (-from_rgb @ shift).astype(np.float32)  # the codes of black
-        turns[:-1] = self._chroma_per_luma(fewer, to_rgb, shift, from_rgb)
-        _edges(fewer[0], dark[0], turns)
-        down, across = steps
-        smooth = _interpolated(coarse, down, across, luma.shape, cv2.INTER_CUBIC)
-        turns = _interpolated(turns, 2 * down, 2 * across, luma.shape, cv2.INTER_LINEAR)
-        detail: Float32Array = luma - smooth[0]
-        across_edge = np.nonzero(turns[-1] > 0)
-        light = (luma[across_edge] - dark[0]) / np.maximum(smooth[0][across_edge] - dark[0], faint)
-        more = turns[-1][across_edge] * (np.maximum(light, 0) - 1)  # chroma falls with luma
-        for chroma, black in zip(smooth[1:], dark[1:], strict=True):
-            chroma[across_edge] += more * (chroma[across_edge] - black)
+        edge = _edges(fewer[0], dark[0])
+        turns = self._chroma_per_luma(fewer, to_rgb, shift, from_rgb) * (1 - edge)
+
+        def fine(plane: Float32Array, method: int, factor: int = 1) -> Float32Array:
+            size = (plane.shape[1] * steps[1] * factor, plane.shape[0] * steps[0] * factor)
+            whole = cv2.resize(plane, size, interpolation=method)
+            return np.ascontiguousarray(whole[: luma.shape[0], : luma.shape[1]], dtype=np.float32)
+
+        mean, *chroma = (fine(plane, cv2.INTER_CUBIC) for plane in coarse)
+        edge = fine(edge, cv2.INTER_LINEAR, 2).ravel()
+        there = np.flatnonzero(edge > 0)
+        light = (luma.ravel()[there] - dark[0]) / np.maximum(mean.ravel()[there] - dark[0], faint)
+        more = edge[there] * (np.maximum(light, 0) - 1)
+        for plane, black in zip(chroma, dark[1:], strict=True):
+            plane.ravel()[there] += more * (plane.ravel()[there] - black)  # chroma falls with luma
+        detail: Float32Array = luma - mean
         waves = [cv2.filter2D(detail, -1, kernel, borderType=cv2.BORDER_REPLICATE) for kernel in _WAVES]
-        for k, filtered in enumerate((detail, *waves)):
-            cv2.accumulateProduct(turns[k], filtered, smooth[1])
-            cv2.accumulateProduct(turns[k + 3], filtered, smooth[2])
-        return smooth[1], smooth[2]
+        for k, turn in enumerate(turns):
+            filtered = (detail, *waves)[k % 3]
+            cv2.accumulateProduct(fine(turn, cv2.INTER_LINEAR, 2), filtered, chroma[k // 3])
+        return chroma[0], chroma[1]
 
     def _chroma_per_luma(
         self, coarse: Float32Array, to_rgb: Matrix3, shift: Vector3, from_rgb: Matrix3
@@ -128,17 +128,6 @@ class LumaDetail:
         return np.where(dark, np.float32(0), np.stack(turns))
 
 
-def _interpolated(
-    planes: Float32Array, down: int, across: int, shape: tuple[int, ...], method: int
-) -> Float32Array:
-    """Return planes (k, h, w) with so many rows and columns for each of theirs, cut to `shape`."""
-    fine = np.empty((len(planes), *shape), np.float32)
-    for plane, to in zip(planes, fine, strict=True):
-        size = (plane.shape[1] * across, plane.shape[0] * down)
-        to[:] = cv2.resize(plane, size, interpolation=method)[: shape[0], : shape[1]]
-    return fine
-
-
 def _mean_of_blocks(plane: Array, down: int, across: int) -> Float32Array:
     """Return the mean of each block of so many rows and columns; the last row and column go on beyond."""
     height, width = plane.shape
@@ -148,20 +137,9 @@ def _mean_of_blocks(plane: Array, down: int, across: int) -> Float32Array:
     return np.asarray(mean, dtype=np.float32)
 
 
-@njit(cache=True, fastmath=True)
-def _edges(luma, dark, turns):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """Fill the last of the turns, 0 to 1, by the luma (h, w) around, and take edges out of the others."""
-    height, width = luma.shape
-    one, zero = np.float32(1), np.float32(0)
-    for v in range(height):
-        for u in range(width):
-            least, most = luma[v, u], luma[v, u]
-            for row in range(max(v - 1, 0), min(v + 2, height)):
-                for column in range(max(u - 1, 0), min(u + 2, width)):
-                    least, most = min(least, luma[row, column]), max(most, luma[row, column])
-            share = (least - dark) / max(most - dark, np.float32(1e-6))
-            edge = min(max((_NO_EDGE - share) / (_NO_EDGE - _EDGE), zero), one)
-            turns[_KINDS - 1, v, u] = edge
-            if edge > zero:
-                for k in range(_KINDS - 1):
-                    turns[k, v, u] *= one - edge
+def _edges(luma: Float32Array, dark: float) -> Float32Array:
+    """Return how far each place of the luma (h, w) lies at an edge, 0 to 1, by its eight neighbours."""
+    around = np.ones((3, 3), np.uint8)
+    least, most = cv2.erode(luma, around) - dark, cv2.dilate(luma, around) - dark
+    share = least / np.maximum(most, np.float32(1e-6))
+    return np.clip((_NO_EDGE - share) / (_NO_EDGE - _EDGE), 0, 1).astype(np.float32)

@@ -12,7 +12,13 @@ from vntoolkit.arrays import LinearImage, Mask
 from vntoolkit.checks import require_shape
 from vntoolkit.errors import BadCapture, NoSubject
 from vntoolkit.io.files import reading_limits
-from vntoolkit.io.footage.captures import Capture, CaptureInfo, CaptureOptions, open_capture
+from vntoolkit.io.footage.captures import (
+    Capture,
+    CaptureInfo,
+    CaptureOptions,
+    open_capture,
+    require_size_of,
+)
 from vntoolkit.io.footage.decoding import EncodedFrame, linear_frame_from_encoded
 from vntoolkit.io.footage.sequence import CaptureKind, find_capture_files, text_of_names
 from vntoolkit.io.maps_and_meshes.label_images import read_mask, read_matte
@@ -94,11 +100,7 @@ def open_mattes(
         raise BadCapture("--key: expected no matte a frame beside it; leave out --mask, or give one image")
     how = CaptureOptions(transfer=capture.transfer, sensor=capture.options.sensor)
     plate = open_capture(background, how)
-    if (plate.info.width, plate.info.height) != (capture.info.width, capture.info.height):
-        raise BadCapture(
-            f"{background}: the background is {plate.info.width}×{plate.info.height}, the footage "
-            f"{capture.info.width}×{capture.info.height}: film both with the same settings"
-        )
+    require_size_of(capture.info, (plate.info.width, plate.info.height), str(background))
     key = PlateKey(plate.frame(0).rgb, capture.transfer, options.key)
     return Mattes(still=made.still, files=made.files, _of_frame=key)
 

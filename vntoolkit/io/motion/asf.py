@@ -25,6 +25,7 @@ from vntoolkit.io.motion.bvh import require_motion_size
 
 CMU_FRAME_RATE_HZ = 120.0  # AMC carries no rate; the CMU library's takes are recorded at 120 Hz
 _INCH_M = 0.0254
+_DEG_PER_RAD = 180.0 / np.pi
 _MAX_LINE = 65536
 _FRAME = re.compile(r"[0-9]{1,9}")
 MAX_ASF_BYTES = 4 * 2**20  # the CMU skeletons have 7 kB
@@ -35,7 +36,7 @@ def read_asf_amc(asf_path: Path, amc_path: Path) -> Motion:
     asf = read_asf(asf_path)
     require_motion_size(amc_path)
     values, degrees = _read_amc(amc_path, asf)
-    angle_unit = 1.0 if degrees else 180.0 / np.pi
+    angle_unit = 1.0 if degrees else _DEG_PER_RAD
     rotations = np.empty((len(values), len(asf.bones), 4))
     column = 0
     root_positions = np.tile(asf.root_position, (len(values), 1))
@@ -193,10 +194,11 @@ def _skeleton_from_sections(sections: dict[str, list[list[str]]]) -> AsfSkeleton
     length = float(units.get("length", "1"))
     if not 0 < length < np.inf:
         raise BadMotion(f"expected a positive length unit, got {length}")
-    root, position = _root(sections["root"], degrees)
+    angle_unit = 1.0 if degrees else _DEG_PER_RAD
+    root, position = _root(sections["root"], angle_unit)
     bones = {"root": root}
     for block in _blocks(sections["bonedata"]):
-        bone = _bone(block, degrees)
+        bone = _bone(block, angle_unit)
         if bone.name in bones:
             raise BadMotion(f"bone {bone.name} occurs twice")
         bones[bone.name] = bone
@@ -270,32 +272,29 @@ def _channels(words: list[str], allowed: tuple[str, ...], what: str) -> tuple[st
 _CHANNELS = ("rx", "ry", "rz", "tx", "ty", "tz")
 
 
-def _root(lines: list[list[str]], degrees: bool) -> tuple[AsfBone, Vector3]:
+def _root(lines: list[list[str]], angle_unit: float) -> tuple[AsfBone, Vector3]:
     values = {words[0]: words[1:] for words in lines}
-    factor = 1.0 if degrees else 180.0 / np.pi
     bone = AsfBone(
         name="root",
         direction=np.zeros(3),
         length=0.0,
-        axis_deg=_vector(values["orientation"], "root orientation") * factor,
+        axis_deg=_vector(values["orientation"], "root orientation") * angle_unit,
         order=_order(values["axis"][0], "root axis"),
         channels=_channels(values["order"], _CHANNELS, "root order"),
     )
     return bone, _vector(values["position"], "root position")
 
 
-def _bone(block: dict[str, list[str]], degrees: bool) -> AsfBone:
+def _bone(block: dict[str, list[str]], angle_unit: float) -> AsfBone:
     name = block["name"][0]
     length = float(block["length"][0])
     if not 0 <= length < _LARGEST:
         raise BadMotion(f"bone {name}: expected a length, got {length}")
-    factor = 1.0 if degrees else 180.0 / np.pi
-    direction = _vector(block["direction"], f"bone {name}, direction")
     return AsfBone(
         name=name,
-        direction=direction,
+        direction=_vector(block["direction"], f"bone {name}, direction"),
         length=length,
-        axis_deg=_vector(block["axis"], f"bone {name}, axis") * factor,
+        axis_deg=_vector(block["axis"], f"bone {name}, axis") * angle_unit,
         order=_order(block["axis"][3], f"bone {name}, axis"),
         channels=_channels(block.get("dof", []), _CHANNELS[:3], f"bone {name}, dof"),
     )

@@ -258,7 +258,7 @@ def _read_frames(words: _Words, text: str, channels: int) -> tuple[FloatArray, f
     except (ValueError, DeprecationWarning):
         values = np.array([np.nan])
     if not np.isfinite(values).all():
-        words.line += text.count("\n", 0, timing.end())
+        words.line += 1 + text.count("\n", 0, timing.end())
         for line in numbers.split("\n"):
             for word in line.split():
                 words.number(word)  # the first that is none raises

@@ -70,9 +70,7 @@ class FolderKind:
     numbers: Callable[[Path], Container[int]] = lambda folder: range(MOST_FRAMES)
 
 
-def begin_run(
-    folder: Path, kind: FolderKind, record: Any, text: str = "", *, overwrite: bool = False
-) -> bool:
+def begin_run(folder: Path, kind: FolderKind, record: Any, *, overwrite: bool = False) -> bool:
     """Write the record of a run into a folder that is locked; return whether an earlier run goes on.
 
     record: as `kind.read` returns it. With `overwrite`, what an earlier run wrote is removed. Raises
