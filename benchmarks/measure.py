@@ -31,14 +31,10 @@ DATA = "DATA"  # stands for --data in a command
 
 # job -> its command; jobs of a family stand together, the page says in which table
 JOBS: dict[str, tuple[str, ...]] = {
-    **{
-        name: (f"recipes/{name}.py",) for name in ("figure02", "figure03", "figure05", "figure06", "figure07")
-    },
+    **{name: (f"recipes/{name}.py",) for name in ("figure02", "figure05", "figure06", "figure07")},
     "figure04": ("recipes/figure04.py",),
     "figure04_spandex": ("recipes/figure04.py", "--scene", "spandex"),
     "figure08": ("recipes/figure08.py", "--frames", "40"),
-    "figure10": ("recipes/figure10.py", "--frames", "40"),
-    "head_and_board": ("recipes/head_and_board.py",),
     "materials": ("recipes/materials.py",),
     "real_objects": ("recipes/real_objects.py", "--data", DATA),
     "expected_errors": ("-m", "benchmarks.expected_errors", "--seeds", "1", "2"),

@@ -1,6 +1,7 @@
 """docs/measured.md is what `make measure` wrote: every row is a number that a command printed."""
 
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -19,6 +20,15 @@ def test_the_page_is_the_template_filled_with_the_numbers_measured() -> None:
     for job in JOBS:
         if job != "ratios":  # `make ratios`, as the page says
             assert command_of(job) in page, f"{job}: measured, and not on the page"
+
+
+def test_every_number_of_the_readme_stands_on_the_page() -> None:
+    page, readme = PAGE.read_text(), (PAGE.parents[1] / "README.md").read_text()
+    table = readme.split("<!-- measured:", 1)[1].split("Limits:", 1)[0]
+    rows = [line.split("|")[4:6] for line in table.splitlines() if line.startswith("| ")][2:]
+    assert len(rows) > 4
+    for number in re.findall(r"\d+\.\d+", " ".join(map(" ".join, rows))):
+        assert number in page, f"{number}: in the README, and not measured"
 
 
 @pytest.mark.slow
