@@ -85,7 +85,7 @@ LINES = {
     "normals": 1610,
     "options": 1700,
     "photometry": 1040,
-    "pipeline": 7660,
+    "pipeline": 7640,
     "report": 3120,
     "shadows": 3080,
     "simulation": 3570,

@@ -106,10 +106,18 @@ def small_cluster(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[str, list[s
         ((0,), signal.SIGKILL, "the Dask scheduler"),
         ((0,), signal.SIGSTOP, "the Dask scheduler does not answer any more"),
         ((1, 2), signal.SIGKILL, "no worker of the Dask scheduler|workers, and what they held"),
-        ((1, 2), signal.SIGSTOP, "no worker of the Dask scheduler is at work any more"),
-        ((1,), signal.SIGSTOP, ""),
+        ((1, 2), signal.SIGSTOP, "the Dask worker tcp://.* does not answer any more"),
+        ((1,), signal.SIGSTOP, "the Dask worker tcp://.* does not answer any more"),
+        ((1,), signal.SIGKILL, ""),
     ],
-    ids=["scheduler killed", "scheduler stopped", "workers killed", "workers stopped", "one worker stopped"],
+    ids=[
+        "scheduler killed",
+        "scheduler stopped",
+        "workers killed",
+        "workers stopped",
+        "one worker stopped",
+        "one worker killed",
+    ],
 )
 def test_what_happens_to_a_cluster_is_one_line_or_nothing(tmp_path, small_cluster, struck, how, line):
     """The run ends by one line, or goes on with the worker that is left; given again, it is completed."""

@@ -9,7 +9,7 @@ import logging
 import queue
 import threading
 import time
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterable, Iterator
 from typing import Any
 
 from vntoolkit.errors import BadInput, MissingDependency, VntError
@@ -99,7 +99,8 @@ def _let_dask_report_errors_only() -> None:
 class _Watched:
     """The workers of a cluster as they were when last looked at.
 
-    A worker that is killed leaves the scheduler's list; one that is stopped keeps its place, and is silent.
+    A worker that is killed leaves the scheduler's list, and the scheduler gives its items to another. One
+    that is stopped keeps its place and its items, and is silent.
     """
 
     def __init__(self, client: Any) -> None:
@@ -107,7 +108,6 @@ class _Watched:
         self._heard: dict[str, tuple[float, float]] = {}  # of each: what it said last, when that was new here
         self._last_at_work = time.monotonic()
         self.at_work: dict[str, int] = {}  # threads by address
-        self.silent: list[str] = []
         self.look()
 
     def look(self) -> None:
@@ -122,12 +122,12 @@ class _Watched:
             said = worker["last_seen"]
             if self._heard.get(address, (None, 0.0))[0] != said:
                 self._heard[address] = said, now
+        for address in known:
+            if now - self._heard[address][1] > _SECONDS_OF_SILENCE:
+                raise _gone(f"the Dask worker {address} does not answer any more")
         self.at_work = {
-            address: worker["nthreads"]
-            for address, worker in known.items()
-            if worker["status"] == "running" and now - self._heard[address][1] < _SECONDS_OF_SILENCE
+            address: worker["nthreads"] for address, worker in known.items() if worker["status"] == "running"
         }
-        self.silent = [address for address in known if address not in self.at_work]
         if self.at_work:
             self._last_at_work = now
         elif now - self._last_at_work > _SECONDS_OF_SILENCE:
@@ -141,42 +141,32 @@ def _gone(what: str) -> VntError:
 def _collect(
     client: Any, begin: Callable[[int | None], Work[Item, Result]], items: Iterable[Item]
 ) -> Generator[Result]:
-    """Keep a bounded number of items submitted, and hand on what they return.
-
-    What lies with a silent worker is given to another: both make the same bytes.
-    """
+    """Keep a bounded number of items submitted, and hand on what they return."""
     import distributed
 
     watched, waiting, looked_at = _Watched(client), iter(items), time.monotonic()
-    running: dict[Any, Item] = {}
+    running: set[Any] = set()
     finished: queue.SimpleQueue[Any] = queue.SimpleQueue()
-
-    def submit(item: Item) -> None:
-        chosen = list(watched.at_work) if watched.silent else None
-        future = client.submit(_work_on, shared, item, pure=False, workers=chosen)
-        running[future] = item
-        future.add_done_callback(finished.put)
 
     try:
         shared = client.scatter(begin, broadcast=True, hash=False)
         while True:
             most = _IN_FLIGHT * max(1, sum(watched.at_work.values()))
             while len(running) < most and (item := next(waiting, None)) is not None:
-                submit(item)
+                future = client.submit(_work_on, shared, item, pure=False)
+                running.add(future)
+                future.add_done_callback(finished.put)
             if not running:
                 return
             future = None
             with contextlib.suppress(queue.Empty):
                 future = finished.get(timeout=_SECONDS_BETWEEN_LOOKS)
             if future in running:
-                del running[future]
-                yield from result_of(future, "one block of frames")
+                running.remove(future)
+                yield from result_of(future, "one block of frames", _SECONDS_OF_SILENCE)
             if time.monotonic() - looked_at > _SECONDS_BETWEEN_LOOKS:
                 watched.look()
                 looked_at = time.monotonic()
-                for lost in _left_with_silent(client, watched, running):
-                    submit(running.pop(lost))
-                    lost.cancel(force=True)
     except (OSError, TimeoutError, distributed.client.FutureCancelledError) as error:
         watched.look()
         raise _gone("Dask's workers, and what they held for this run, are gone") from error
@@ -185,22 +175,15 @@ def _collect(
             client.cancel(list(running), force=True)
 
 
-def _left_with_silent(client: Any, watched: _Watched, running: Mapping[Any, Any]) -> list[Any]:
-    """Return what was submitted, is not done, and lies with no worker that is at work."""
-    if not watched.silent or not watched.at_work:
-        return []
-    at_work = {
-        key for address, keys in client.processing().items() if address in watched.at_work for key in keys
-    }
-    return [future for future in running if not future.done() and future.key not in at_work]
+def result_of(future: Any, what: str, seconds: float | None = None) -> Any:
+    """Return what was made; raise `VntError` where what was asked for ended several workers.
 
-
-def result_of(future: Any, what: str) -> Any:
-    """Return what was made; raise `VntError` where what was asked for ended several workers."""
+    Raises `TimeoutError` where the worker that holds it does not send it within so many seconds.
+    """
     import distributed
 
     try:
-        return future.result()
+        return future.result(timeout=seconds)
     except distributed.KilledWorker as error:
         raise VntError(
             f"{what} ended several workers, one after the other (out of memory?); what is finished is on "
