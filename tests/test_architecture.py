@@ -72,7 +72,7 @@ DOORS = {
 # Room -> most lines of all its files; "(root)" holds the files beside the rooms.
 LINES = {
     "(root)": 1960,
-    "calibration": 4690,
+    "calibration": 4720,
     "cli": 3410,
     "diagnosis": 4380,
     "evaluation": 1140,

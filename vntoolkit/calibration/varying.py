@@ -1,7 +1,8 @@
 """A response that varies over the image, fitted to normals and colours at known pixels.
 
 Near lights change M from pixel to pixel. Its entries are polynomials of the position. Equation 4 stays linear
-in their coefficients: `r = Σ_m x^i y^j [M_m a_m] [n; 1]`, solved like that of one M.
+in their coefficients: `r = Σ_m x^i y^j [M_m a_m] [n; 1]`, solved like that of one M. Few poses determine so
+many coefficients badly: those beyond one M are held near 0, as strongly as the pairs themselves ask for.
 """
 
 import numpy as np
@@ -16,6 +17,8 @@ from vntoolkit.photometry.response import LightResponse, ResponseVariation, powe
 _PAIRS_PER_TERM = 4  # positions that each monomial needs at least, at very least
 _FLATTEST = 0.02  # smallest over largest singular value of the monomials over the positions seen
 _LARGEST_CONDITION = 1e3  # of M anywhere in the image
+_ROUNDS = 100  # of the ridge's fixed point; it rests after ten or twenty
+_SETTLED = 1e-3  # relative change of the ridge at which it rests
 
 
 def fit_varying_response(
@@ -46,7 +49,8 @@ def fit_varying_response(
     products = monomials[:, :, None] * one.rows[:, None, :]
     # the spread of the positions is checked above, that of the normals when one M was fitted
     design = Design(rows=products.reshape(len(rgb), -1), colours=rgb, flattest=0.0)
-    unknowns, _ = fit_by_trimming(design, np.ones(len(rgb), np.bool_), 0.0, options.outlier_sigmas)
+    unknowns, chosen = fit_by_trimming(design, np.ones(len(rgb), np.bool_), 0.0, options.outlier_sigmas)
+    unknowns = _shrunk(unknowns, design.rows[chosen], rgb[chosen], free=one.unknown_count)
     middle, *terms = unknowns.reshape(monomials.shape[1], one.unknown_count, 3)
     response = response_from_unknowns(middle)
     variation = ResponseVariation(
@@ -59,6 +63,29 @@ def fit_varying_response(
     varying = LightResponse(matrix=response.matrix, ambient=response.ambient, variation=variation)
     _require_regular(varying, size)
     return varying
+
+
+def _shrunk(unknowns: FloatArray, rows: Points, colours: Points, free: int) -> FloatArray:
+    """Solve rows @ unknowns = colours again by ridge regression, all but the first `free` rows held near 0.
+
+    rows: (n, k), unknowns: (k, 3). The ridge is the variance of the colours over that of the
+    coefficients; both maximise the evidence, by MacKay's fixed point (mackay1992).
+    """
+    held = np.arange(len(unknowns)) >= free
+    normal, right = rows.T @ rows, rows.T @ colours
+    ridge, before = 0.0, np.inf
+    for _ in range(_ROUNDS):
+        inverse = np.linalg.inv(normal + np.diag(ridge * held))
+        unknowns = inverse @ right
+        determined = (
+            held.sum() - ridge * np.diag(inverse)[held].sum()
+        )  # coefficients that the pairs determine
+        noise = np.square(rows @ unknowns - colours).sum() / (len(rows) - free - determined)
+        size = np.square(unknowns[held]).sum()
+        if abs(ridge - before) <= _SETTLED * ridge or size == 0.0:
+            break
+        before, ridge = ridge, determined * noise / size
+    return unknowns
 
 
 def _require_spread(monomials: FloatArray) -> None:
