@@ -24,6 +24,7 @@ import numpy as np
 
 import vntoolkit as vt
 from vntoolkit.errors import BadInput
+from vntoolkit.io.files import require_file
 from vntoolkit.io.maps_and_meshes.maps import write_normal_map
 from vntoolkit.options.simulation import Nuisances, SceneOptions
 from vntoolkit.report.recipes_page import RecipeNumber, number, write_numbers
@@ -57,7 +58,7 @@ def method_of(path: Path | None) -> Method:
     """Return `normals` of a Python file, or this recipe's own."""
     if path is None:
         return normals
-    found: Method | None = run_path(str(path)).get("normals")
+    found: Method | None = run_path(str(require_file(path))).get("normals")
     if not callable(found):
         raise BadInput(f"{path}: expected a function `normals(frame, rig)`, found none of that name")
     return found

@@ -121,18 +121,13 @@ def _export_animation(
         on_frame()
         return thing
 
+    clock: dict[str, Any] = {"frame_rate_hz": rate, "times_s": times_s}
+    lengths_of_usd: dict[str, Any] = {"metres_per_unit": lengths.metres_per_unit, "up": options.up}
     if track is None:
         from vntoolkit.io.maps_and_meshes.usd import write_usd_meshes
 
         own = (passing(own_mesh(result, n, options, lengths.factor)) for n in numbers)
-        count = write_usd_meshes(
-            out,
-            own,
-            frame_rate_hz=rate,
-            times_s=times_s,
-            metres_per_unit=lengths.metres_per_unit,
-            up=options.up,
-        )
+        count = write_usd_meshes(out, own, **clock, **lengths_of_usd)
         return ExportSummary(out=out, frames=count, kept=0, is_tracked=False)
     rows = [track.numbers.index(n) for n in numbers]
     offset = offset_of(track, options, lengths.factor)
@@ -143,9 +138,7 @@ def _export_animation(
     if options.to is ExportFormat.GLB:
         from vntoolkit.io.maps_and_meshes.glb import write_glb
 
-        count = write_glb(
-            out, template, moving, frame_rate_hz=rate, times_s=times_s, camera=camera, texture=texture
-        )
+        count = write_glb(out, template, moving, **clock, camera=camera, texture=texture)
     else:
         from vntoolkit.io.maps_and_meshes.usd import write_usd_sequence
 
@@ -153,10 +146,8 @@ def _export_animation(
             out,
             template,
             moving,
-            frame_rate_hz=rate,
-            times_s=times_s,
-            metres_per_unit=lengths.metres_per_unit,
-            up=options.up,
+            **clock,
+            **lengths_of_usd,
             camera=camera,
             texture=None if texture is None else texture.beside(out),
         )

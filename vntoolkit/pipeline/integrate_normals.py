@@ -85,6 +85,8 @@ class NormalSource:
 def open_normals(source: str) -> NormalSource:
     """Find the normal maps of a file, a folder or a video. Raises `BadInput` where there is none."""
     path = Path(source)
+    if not path.exists():
+        raise BadInput(f"{source}: no such file or folder")
     if path.is_file() and path.suffix.lower() not in SUFFIXES:
         return _video_source(open_capture(source), path)
     files, folder = _files_of(path), path
@@ -158,7 +160,7 @@ def integrate_normals(
             started = time.perf_counter()
             stored = read(mask)
             if integrator is None:
-                integrator = _begun(job, source, stored, mask_file, overwrite)
+                integrator = _begun(job, source, stored, mask_file)
                 manifest = _manifest(job, source, integrator.rig, mask_file)
                 begin_run(root, manifests.RECONSTRUCTION, manifest, overwrite=overwrite)
             result = integrator.frame(number, stored)
@@ -230,7 +232,7 @@ class _FrameIntegrator:
 
 
 def _begun(
-    job: IntegrateJob, source: NormalSource, stored: StoredNormals, mask_file: Path | None, overwrite: bool
+    job: IntegrateJob, source: NormalSource, stored: StoredNormals, mask_file: Path | None
 ) -> _FrameIntegrator:
     """Settle camera and convention on the first map, and say what was found."""
     for note in stored.notes:

@@ -36,6 +36,10 @@ class StereoJob:
 
 def photometric_stereo(job: StereoJob, on_image: Callable[[int], None] = lambda count: None) -> NormalMap:
     """Compute normals with their expected errors, and write normals, mask and albedo."""
+    if job.lights is None and not (job.folder / "light_directions.txt").exists():
+        raise BadInput(
+            f"{job.folder}: expected DiLiGenT's light_directions.txt in it; give --lights for other folders"
+        )
     lights = read_lights(job.lights or job.folder)
     if np.mean(lights.directions[:, 2] > 0) > 0.5:
         raise BadInput(

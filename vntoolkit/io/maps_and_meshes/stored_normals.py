@@ -54,8 +54,9 @@ def read_stored_normals(path: Path | str, mask: Mask | None = None) -> StoredNor
         case _:
             samples, alpha = read_image_with_alpha(path)
     inside = alpha if mask is None else (mask if alpha is None else alpha & mask)
-    if inside is not None:
-        require_shape(inside, samples.shape[:2], f"mask of {path}")
+    if inside is not None and inside.shape != samples.shape[:2]:
+        (height, width), (rows, columns) = inside.shape, samples.shape[:2]
+        raise BadInput(f"{path}: is {columns}×{rows} but its mask is {width}×{height}; give one of its size")
     found = stored_normals(samples, inside, str(path))
     if weight is not None and bool((weight[found.mask] < 1).any()):
         return StoredNormals(**{**vars(found), "weight": weight, "error_deg": error, "convention": stated})
