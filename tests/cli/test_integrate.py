@@ -142,8 +142,13 @@ def test_what_is_no_normal_map(tmp_path, stored, line):
 def test_sources_and_cameras_that_are_none(tmp_path):
     with pytest.raises(BadInput, match="expected a normal map"):
         integrate(tmp_path, out=tmp_path / "out")
+    with pytest.raises(BadInput, match=r"nothing\.png: no such file or folder"):
+        integrate(tmp_path / "nothing.png", out=tmp_path / "out")
     _, normals, _ = ball()
     np.savez(tmp_path / "a.npz", normals=normals)
+    write_mask(tmp_path / "small.png", np.ones((8, 9), np.bool_))
+    with pytest.raises(BadInput, match=f"is {SIZE}×{SIZE} but its mask is 9×8"):
+        integrate(tmp_path / "a.npz", out=tmp_path / "out", mask=tmp_path / "small.png")
     with pytest.raises(BadInput, match="give --camera or --focal-px, not both"):
         integrate(tmp_path / "a.npz", out=tmp_path / "out", focal_px=9.0, camera=tmp_path / "K.txt")
     (tmp_path / "K.txt").write_text("1 2 3")

@@ -67,3 +67,8 @@ def test_lamps_and_photographs_that_do_not_belong_together(tmp_path, rng):
     write_png(folder / "11.png", np.full((9, 9), 40000, np.uint16))
     with pytest.raises(BadInput, match="is of another size than"):
         photometric_stereo(folder, lights=folder / "lights.txt", out=tmp_path / "out")
+
+
+def test_a_folder_without_lamps_asks_for_them(tmp_path):
+    with pytest.raises(BadInput, match=r"light_directions\.txt in it; give --lights for other folders"):
+        photometric_stereo(tmp_path, out=tmp_path / "out")

@@ -86,3 +86,13 @@ def test_numbers_are_read_back(tmp_path: Path) -> None:
     rows = [number("mean", 1.2345678, "degrees", 8.67), number("frames", 180, "")]
     write_numbers(tmp_path, rows)
     assert [r.ours for r in read_numbers(tmp_path)] == [1.2346, 180]
+
+
+def test_a_method_that_is_not_there_is_named(tmp_path: Path) -> None:
+    from recipes.own_method import method_of
+
+    with pytest.raises(BadInput, match=r"nothing\.py: no such file"):
+        method_of(tmp_path / "nothing.py")
+    (tmp_path / "empty.py").write_text("other = 1\n")
+    with pytest.raises(BadInput, match="expected a function `normals"):
+        method_of(tmp_path / "empty.py")
