@@ -32,8 +32,8 @@ class Survey:
     """The light of frames in blocks.
 
     numbers: of the frames, in order. light: (n, v, u, 3), linear mean colours of blocks, 0 where one does
-    not count. lit: (n, v, u), where the subject may
-    be. shows: (n,), True for a frame that shows as much of a subject as is usual.
+    not count. lit: (n, v, u), where the subject may be. shows: (n,), True for a frame that shows as much of a
+    subject as is usual.
     """
 
     numbers: tuple[int, ...]

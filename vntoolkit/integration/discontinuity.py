@@ -29,12 +29,14 @@ _LEAST_NOISE = 1e-4  # pixels: rounding of float32 normals; a noiseless map has 
 _MEDIAN_TO_DEVIATION = 1.4826
 _ROUNDS = 12  # times the weights are computed anew
 _SCALE = 2.0  # standard deviations of an edge's residual at which its weight is a quarter
-_WIDENING, _NARROW_FROM = 6.0, 0.7  # of the first scale against the last, which holds from that share of the
-# rounds on: nothing is cut at first that a smooth surface might still explain
+# The first scale against the last, and the share of the rounds from which the last holds: nothing is cut at
+# first that a smooth surface might still explain.
+_WIDENING, _NARROW_FROM = 6.0, 0.7
 _AGAINST_SLOPE = 100.0  # factor on the scale per pixel of slope where depth falls less than the slope
 _ROUND_ITERATIONS = 300  # of conjugate gradients
-_FIRST_TOLERANCE, _ROUND_TOLERANCE = 1e-3, 0.03  # relative residual of the first solution; what every later
-# one leaves of the residual before it, so that a part that hangs on few edges finds its place too
+# Relative residual of the first solution; what every later one leaves of the residual before it, so that a
+# part that hangs on few edges finds its place too.
+_FIRST_TOLERANCE, _ROUND_TOLERANCE = 1e-3, 0.03
 
 
 def solve_discontinuous(

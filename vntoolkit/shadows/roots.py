@@ -65,11 +65,12 @@ def roots_of_labels(
     cosine = np.where(two, np.minimum(along, 1.0), 1.0)
     tilt: FloatArray = np.arccos(cosine).astype(np.float32)
     near, afar = (_squared_difference(light.normals, lit, lag) for lag in (1, _LAG_PX))
-    variance = along**2 * np.float32(spread**2) + np.float32(0.25 * near)
-    doubt = np.where(two, variance / np.maximum(1.0 - cosine**2, np.sqrt(variance)), 0.0).astype(np.float32)
+    of_cosine = along**2 * np.float32(spread**2) + np.float32(0.25 * near)
+    of_angle = of_cosine / np.maximum(1.0 - cosine**2, np.sqrt(of_cosine))
+    variance = np.where(two, of_angle, 0.0).astype(np.float32)
     evidence, east, south = (np.zeros(mask.shape, np.float32) for _ in range(3))
     _costs_kernel(
-        flat(base), tilt, across, wide, kinds, doubt, np.float32(afar), np.float32(0.5 * _STEPS), evidence,
+        flat(base), tilt, across, wide, kinds, variance, np.float32(afar), np.float32(0.5 * _STEPS), evidence,
         east, south,
     )  # fmt: skip
     facing = lit_by_cut(evidence - np.float32(_OCCLUDER_PRICE), lambda _: (east, south), two, np.inf)
@@ -77,7 +78,7 @@ def roots_of_labels(
     roots = np.where(two[..., None], np.cos(tilt)[..., None] * base + sine * across[wide], light.normals)
     known = mask & ((labels == ALL_LIT) | two)
     normals = np.where((labels == ALL_LIT)[..., None], light.normals, roots).astype(np.float32)
-    return Roots(normals=normals, known=known, variance=doubt)
+    return Roots(normals=normals, known=known, variance=variance)
 
 
 def with_sides_of_roots(
@@ -189,7 +190,7 @@ def _likelihood(one: tuple[Any, Any, Any], other: tuple[Any, Any, Any], scale: A
 @njit(cache=True, parallel=True, error_model="numpy")
 def _costs_kernel(
     base: FloatArray, tilt: FloatArray, across: FloatArray, labels: VisibilityLabels, kinds: ByteArray,
-    doubt: FloatArray, squared: Any, step: Any, evidence: FloatArray, east: FloatArray, south: FloatArray,
+    variance: FloatArray, squared: Any, step: Any, evidence: FloatArray, east: FloatArray, south: FloatArray,
 ) -> None:  # fmt: skip
     """Fill (h, w): what lit pixels say for the facing root, and the price of a change to the next pixel.
 
@@ -216,7 +217,7 @@ def _costs_kernel(
                 while reach < _LAG_PX and _is_kind(kinds, v + (reach + 1) * dv, u + (reach + 1) * du, kind):
                     reach += 1
                 y, x = v + reach * dv, u + reach * du
-                beyond, scale = across[labels[y, x]], squared + doubt[v, u] + doubt[y, x]
+                beyond, scale = across[labels[y, x]], squared + variance[v, u] + variance[y, x]
                 to, back = _root(base, y, x, tilt[y, x], beyond), _root(base, y, x, -tilt[y, x], beyond)
                 both, one = _likelihood(facing, to, scale, step), _likelihood(facing, back, scale, step)
                 neither, other = (
