@@ -14,7 +14,8 @@ from pathlib import Path
 import numpy as np
 from mutators import mutate
 from specimens import KINDS, copy_of
-from stated_files import CHANGES, fault_of
+from stated_change import fault_of
+from stated_files import CHANGES
 
 from vntoolkit.errors import VntError
 

@@ -236,7 +236,7 @@ def _begun(
 ) -> _FrameIntegrator:
     """Settle camera and convention on the first map, and say what was found."""
     for note in stored.notes:
-        logger.warning("%s: %s", job.source, note)
+        logger.warning("%s: %s; --mask decides what is the subject", job.source, note)
     if mask_file is not None and job.mask is None:
         logger.warning("%s: masked by %s beside it", job.source, mask_file.name)
     convention = job.convention or stored.convention

@@ -199,8 +199,10 @@ class Capture(Displayed):
                     f"{path}: frame {number} is {width}×{height}, the first one {self.info.width}×"
                     f"{self.info.height}: a capture has one size"
                 )
-            first, own = self.info.stated_transfer, "" if header is None else header.stated.transfer
-            if first and own and own != first:
+            if header is not None and header.stated.transfer != self.info.stated_transfer:
+                own, first = (
+                    curve or "none" for curve in (header.stated.transfer, self.info.stated_transfer)
+                )
                 raise BadCapture(
                     f"{path}: frame {number} states the transfer curve {own}, the first one {first}: a "
                     "capture has one curve"
