@@ -78,7 +78,7 @@ LINES = {
     "evaluation": 1140,
     "geometry": 1800,
     "integration": 1700,
-    "io": 8080,
+    "io": 8250,
     "live": 900,
     "materials": 2900,
     "meshing": 280,
