@@ -10,6 +10,7 @@ import numpy as np
 from vntoolkit.arrays import Array, ByteArray, FloatArray, UInt16Array
 from vntoolkit.errors import BadCapture, BadInput
 from vntoolkit.io.files import opened, require_pixels
+from vntoolkit.native import silenced_native_output
 from vntoolkit.options.footage import Bayer, Demosaic
 
 # Camera raw files that LibRaw reads.
@@ -62,7 +63,7 @@ def read_raw(
     algorithms = rawpy.DemosaicAlgorithm
     with opened(path, error) as stream:
         try:
-            with rawpy.RawPy() as raw:
+            with silenced_native_output(), rawpy.RawPy() as raw:  # LibRaw prints of damage
                 raw.open_buffer(stream)
                 sizes = raw.sizes
                 require_pixels(sizes.width, sizes.height, max_megapixels, str(path), error)

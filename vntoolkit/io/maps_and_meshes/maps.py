@@ -12,14 +12,10 @@ from vntoolkit.errors import BadInput
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
 from vntoolkit.io.footage.images import write_png
 from vntoolkit.io.maps_and_meshes.exr import ExrCompression, read_exr, write_exr
-from vntoolkit.io.maps_and_meshes.stored_normals import (
-    CONVENTION_ATTRIBUTE,
-    ERROR_CHANNEL,
-    read_stored_normals,
-)
 from vntoolkit.options.export import NormalConvention
 
 logger = logging.getLogger(__name__)
+ERROR_CHANNEL, CONVENTION_ATTRIBUTE = "error_deg", "vntoolkit.normalConvention"
 _DEPTH_ERROR_CHANNEL = "error_percent"
 _MOST_PERCENT = np.float32(1000.0)  # more means the same, and a half holds no more than 65504
 _UNIT_ATTRIBUTE = "vntoolkit.lengthUnit"
@@ -63,6 +59,8 @@ def read_normal_map(
     convention: None for what the EXR's header says, else opengl. mask: (h, w); None for the alpha channel,
     or where there is none, for all but the background.
     """
+    from vntoolkit.io.maps_and_meshes.stored_normals import read_stored_normals  # loads scipy.ndimage
+
     found = read_stored_normals(path, mask, max_megapixels=max_megapixels)
     for note in found.notes:
         logger.warning("%s: %s", path, note)

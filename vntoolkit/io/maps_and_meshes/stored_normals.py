@@ -16,10 +16,10 @@ from vntoolkit.io.files import require_file
 from vntoolkit.io.footage.images import read_image_with_alpha
 from vntoolkit.io.maps_and_meshes.arrays import read_npz
 from vntoolkit.io.maps_and_meshes.exr import read_exr
+from vntoolkit.io.maps_and_meshes.maps import CONVENTION_ATTRIBUTE, ERROR_CHANNEL
 from vntoolkit.options.export import NormalConvention
 
 SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".exr", ".npz", ".mat")
-ERROR_CHANNEL, CONVENTION_ATTRIBUTE = "error_deg", "vntoolkit.normalConvention"
 _SHORTEST, _LONGEST = 0.5, 1.5  # length of a vector that is meant to be a normal
 _ROUNDED = 0.05  # lengths that 8 bits and averaging make
 _MOST_OF_BORDER = 0.5  # of the picture's border, which a background covers
