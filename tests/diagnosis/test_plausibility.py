@@ -13,9 +13,9 @@ from vntoolkit.diagnosis.outline import finding_from_axes, warn_of_flipped_axes
 from vntoolkit.diagnosis.rig_checks import check_coverage
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.io.footage.captures import CaptureOptions, open_capture
-from vntoolkit.io.footage.images import write_png
-from vntoolkit.io.maps_and_meshes.label_images import write_mask
+from vntoolkit.io.footage.image_writing import write_png
 from vntoolkit.io.maps_and_meshes.maps import read_normal_map, write_normal_map
+from vntoolkit.io.maps_and_meshes.masks import write_mask
 from vntoolkit.io.results.manifest import read_manifest
 from vntoolkit.io.rigs import write_rig
 from vntoolkit.options.simulation import Nuisances, RenderOptions, SceneOptions

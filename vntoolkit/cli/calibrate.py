@@ -23,7 +23,7 @@ from vntoolkit.io.footage.captures import Capture, CaptureOptions, open_capture
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.maps_and_meshes.meshes import write_mesh
 from vntoolkit.io.rigs import read_rig, write_rig
-from vntoolkit.native import require_installed
+from vntoolkit.libraries import require_installed
 from vntoolkit.options.base import File, Named, OptionalFile, Source, as_path, named
 from vntoolkit.options.calibration import (
     BoardOptions,

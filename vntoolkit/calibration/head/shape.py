@@ -12,7 +12,7 @@ from vntoolkit.calibration.head.stereo import OrientedPoints, stereo_points
 from vntoolkit.errors import BadCalibration
 from vntoolkit.geometry.mesh import Mesh, vertex_normals
 from vntoolkit.geometry.point_cloud import PointCloud
-from vntoolkit.native import import_open3d
+from vntoolkit.libraries import import_open3d
 from vntoolkit.options.head import FusionOptions, StereoOptions
 
 _LEAST_POINTS = 500
