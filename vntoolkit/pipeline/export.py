@@ -23,7 +23,7 @@ from vntoolkit.io.maps_and_meshes.maps import write_normal_map
 from vntoolkit.io.maps_and_meshes.texture import SurfaceTexture
 from vntoolkit.io.results.folder import FolderKind, begin_run, read_lock, write_lock
 from vntoolkit.options.export import ExportedSurface, ExportFormat, ExportOptions, FileUnit
-from vntoolkit.pipeline.opened_result import OpenedResult, open_result
+from vntoolkit.pipeline.opened_result import OpenedResult, read_result
 from vntoolkit.pipeline.options import option_values
 from vntoolkit.pipeline.texture_files import texture_of_tracks, with_captured_colours
 
@@ -41,7 +41,7 @@ _HEADROOM = 1.25  # of a light's picture over the brightest that the rig's mater
 class ExportJob:
     """What to export. folder: of `reconstruct`. out: file or folder, None for folder/export/….
 
-    footage, background: for `diligent`, as for `open_result`.
+    footage, background: for `diligent`, as for `read_result`.
     """
 
     folder: Path
@@ -79,7 +79,7 @@ def export(
     it stopped, and writes again what has changed since. Raises `BadInput`.
     """
     with read_lock(job.folder):
-        result = open_result(job.folder, frames=job.frames, footage=job.footage, background=job.background)
+        result = read_result(job.folder, frames=job.frames, footage=job.footage, background=job.background)
         track = _track_of(result, job.options)
         if job.options.to is ExportFormat.USD or (job.options.to is ExportFormat.GLB and track is not None):
             return _export_animation(job, result, track, on_start, on_frame)

@@ -23,7 +23,7 @@ from vntoolkit.io.rigs import entry_from_camera
 from vntoolkit.options.tracking import LOST_PX, Tracker, TrackingOptions
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
-from vntoolkit.pipeline.opened_result import OpenedResult, open_result
+from vntoolkit.pipeline.opened_result import OpenedResult, read_result
 from vntoolkit.pipeline.options import option_values
 from vntoolkit.pipeline.tracked_folder import MEMORY_NAME, TRACKS, TRACKS_VERSION, remove_backwards
 from vntoolkit.tracking.paint import Paint, paint_of_frame
@@ -42,7 +42,7 @@ class TrackJob:
 
     folder: written by `reconstruct`. template: number of the template frame, None for the best one, or with
     seams the first. seams: polylines on the template image. out: None for folder/track. lost_px: a vertex is
-    called lost where its expected error is above this. footage, background: as for `open_result`; where the
+    called lost where its expected error is above this. footage, background: as for `read_result`; where the
     footage is not at hand, relief and shape alone are tracked.
     """
 
@@ -96,7 +96,7 @@ def track(
     not there and for a target that holds something else, before anything there is touched; `CannotWrite`
     while another run is at work in one of the folders.
     """
-    source = open_result(job.folder, footage=job.footage, background=job.background)
+    source = read_result(job.folder, footage=job.footage, background=job.background)
     numbers = source.frames_to_track
     there = [n for n in numbers if has_maps(source, n)]
     template = job.template
