@@ -12,7 +12,6 @@ from vntoolkit.__main__ import main
 from vntoolkit.errors import BadCapture, BadInput, CannotWrite
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import LengthUnit
-from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.results.sequences import MeshSequenceWriter, read_mesh_sequence
 from vntoolkit.live.page import LiveViewer
 from vntoolkit.options.export import ExportedSurface, ExportFormat, ExportOptions
@@ -36,7 +35,7 @@ def exported(folder: Path, to: ExportFormat, **options: object) -> None:
 
 def test_a_result_without_the_frames_asked_for(result: Path) -> None:
     with pytest.raises(BadInput, match="holds none of the frames 3:4:1; it holds 5, from 0 to 5"):
-        read_result(result, frames=FrameRange.from_text("3"))
+        read_result(result, frames="3")
 
 
 def test_tracks_of_an_earlier_reconstruction_are_left_out(result, caplog):

@@ -14,7 +14,6 @@ from pxr import Usd, UsdShade, UsdValidation
 from tests.dome_result import DomeResult, dome_result
 from tests.pipeline.conftest import RESPONSE
 from vntoolkit.geometry.mesh import vertex_normals
-from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.footage.images import read_image
 from vntoolkit.io.maps_and_meshes.maps import write_normal_map
 from vntoolkit.options.export import ExportFormat, ExportOptions
@@ -136,7 +135,7 @@ def test_tracked_exports_carry_the_texture(dome_result, tmp_path, kind):
             folder=dome_result.folder,
             options=options,
             out=tmp_path / name,
-            frames=FrameRange.from_text("0:2"),
+            frames="0:2",
         )
     ).out
     match kind:

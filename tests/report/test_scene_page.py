@@ -17,7 +17,6 @@ from tests.browser import visit
 from tests.dome_result import DomeResult
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.mesh import Mesh, face_normals
-from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.results.sequences import read_mesh_sequence
 from vntoolkit.options.pages import ScenePageOptions
 from vntoolkit.pipeline.opened_result import read_result
@@ -168,7 +167,7 @@ def test_a_browser_copes_with_what_a_result_may_lack(page, dome_result, tmp_path
 
     folder = shutil.copytree(dome_result.folder, tmp_path / "single")
     shutil.rmtree(folder / "track")
-    no_footage = read_result(folder, frames=FrameRange.from_text("0"), footage=str(tmp_path / "nowhere.mkv"))
+    no_footage = read_result(folder, frames="0", footage=str(tmp_path / "nowhere.mkv"))
     write_scene(tmp_path / "single.html", no_footage)
     with visit(tmp_path / "single.html") as seen:
         seen.page.wait_for_selector("body[data-shown='0']")

@@ -18,7 +18,6 @@ from vntoolkit.geometry.maps import LengthUnit
 from vntoolkit.geometry.mesh import Mesh, vertex_normals
 from vntoolkit.io import atomic
 from vntoolkit.io.conventions import graphics_from_camera
-from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.maps_and_meshes.maps import write_normal_map
 from vntoolkit.io.maps_and_meshes.texture import SurfaceTexture
 from vntoolkit.io.results.folder import FolderKind, begin_run, read_lock, write_lock
@@ -47,7 +46,7 @@ class ExportJob:
     folder: Path
     options: ExportOptions
     out: Path | None = None
-    frames: FrameRange | None = None
+    frames: str | None = None
     footage: str = ""
     background: Path | None = None
 

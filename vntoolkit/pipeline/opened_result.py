@@ -233,19 +233,20 @@ class OpenedResult:
 def read_result(
     folder: File,
     *,
-    frames: FrameRange | None = None,
+    frames: str | None = None,
     footage: str = "",
     background: Path | None = None,
     says_missing: bool = True,
 ) -> OpenedResult:
     """Open a folder that `reconstruct` wrote: `.normals(3)`, `.depth(3)`, `.mesh(3)`, `.findings`, `.frames`.
 
-    frames: only those of them. Raises `BadInput` for a folder of another kind. Says which frames are recorded
-    as done while their files are gone. says_missing: False where that was said before.
+    frames: only those of them, a:b:c. Raises `BadInput` for a folder of another kind. Says which frames are
+    recorded as done while their files are gone. says_missing: False where that was said before.
     """
     root = Path(folder)
     manifest = read_manifest(root)
-    wanted = (frames or FrameRange()).numbers(manifest.input.frame_count)
+    asked = FrameRange.from_text(frames or "::")
+    wanted = asked.numbers(manifest.input.frame_count)
     if says_missing:
         for line in missing_files(root, manifest, wanted):
             logger.warning("%s: incomplete: %s", root, line)
@@ -256,7 +257,7 @@ def read_result(
         held = (
             f"it holds {len(present)}, from {present[0]} to {present[-1]}" if present else "it holds no frame"
         )
-        raise BadInput(f"{root}: holds none of the frames {(frames or FrameRange()).to_text()}; {held}")
+        raise BadInput(f"{root}: holds none of the frames {asked.to_text()}; {held}")
     return OpenedResult(
         folder=ReconstructionFolder(root=root),
         manifest=manifest,
