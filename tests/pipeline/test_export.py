@@ -34,9 +34,9 @@ from vntoolkit.options.export import (
     MeshUpAxis,
     NormalConvention,
 )
-from vntoolkit.options.tracking import TrackingOptions
+from vntoolkit.options.tracking import TrackArguments
 from vntoolkit.pipeline.export import ExportJob, export
-from vntoolkit.pipeline.track import TrackJob, track
+from vntoolkit.pipeline.track import track
 
 __all__ = ["dome_result"]
 FRAMES = "0:3"
@@ -62,7 +62,7 @@ def test_every_frame_is_played_at_the_time_it_was_filmed(dome_result: DomeResult
     content = json.loads((folder / "reconstruction.json").read_text())
     content["input"] |= {"times_s": times.tolist(), "frame_rate_hz": 25.0}
     (folder / "reconstruction.json").write_text(json.dumps(content))
-    track(TrackJob(folder=folder, options=TrackingOptions()))
+    track(TrackArguments(folder))
     np.testing.assert_allclose(read_mesh_sequence(folder / "track").instants_s, times)
     for frames, kept in ((None, [0, 1, 2, 4, 5]), ("::2", [0, 2, 4])):
         filmed = times[kept] - times[kept[0]]
