@@ -19,7 +19,7 @@ import numpy as np
 
 from vntoolkit.arrays import BoolArray, Float32Array, FloatArray, Mask
 from vntoolkit.diagnosis import evidence as evidences
-from vntoolkit.diagnosis.finding import CLEAR_Z, Finding, Level, certainty_from_z
+from vntoolkit.diagnosis.finding import CLEAR_Z, Finding, Level
 from vntoolkit.diagnosis.surface_pixels import (
     SurfacePixels,
     regress_lengths,
@@ -81,7 +81,6 @@ def check_transfer(evidence: evidences.Evidence) -> list[Finding]:
         Finding.of(
             "transfer",
             level=Level.FATAL if written.z > 2 * CLEAR_Z else Level.WARNING,
-            certainty=certainty_from_z(written.z),
             curve=written.curve,
             stated=evidence.transfer.to_text(),
             slope=written.as_read,
@@ -269,7 +268,6 @@ def check_transfer_of_samples(normals: FloatArray, rgb: FloatArray, transfer: Tr
     return [
         Finding.of(
             "transfer/samples",
-            certainty=certainty_from_z(z),
             curve=other.to_text(),
             stated=transfer.to_text(),
             residual_deg=np.median(as_read),
