@@ -210,7 +210,7 @@ def _findings_of_lag(light: Float32Array, numbers: list[int]) -> Iterator[Findin
 
 def _findings_of_drift(border: Float32Array, numbers: list[int]) -> list[Finding]:
     """Find exposure or white balance that drifts. border: (n, b, 3), light of the picture's border."""
-    seen = (border > _LIT).all(axis=(0, 2))
+    seen: Mask = np.asarray((border > _LIT).all(axis=(0, 2)))
     if len(border) < 2 or not seen.any():
         return []
     change = np.log(border[1:, seen] / border[0, seen])

@@ -453,9 +453,9 @@ TABLE: dict[str, tuple[str, str, str, str, str]] = {
     ),
     "transfer/calibrated": (
         WARNING,
-        "the footage is read as {given} but the rig was calibrated as {calibrated}, and the footage {says}",
-        "{measured}",
-        "0 where the curve is right, 1 where the rig's is",
+        "the footage is read with another curve than the rig was calibrated with",
+        "{given}",
+        "{calibrated}",
         "leave --transfer out, so that the rig's curve is used, or calibrate with this curve",
     ),
     "transfer/codec": (
