@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from vntoolkit.options.base import File, Named, OptionalFile, Source, named
-from vntoolkit.options.depth import IntegrationOptions, Integrator, IntegratorName, MeshOptions
+from vntoolkit.options.depth import IntegrationOptions, MeshOptions
 from vntoolkit.options.export import NormalConvention, NormalConventionName
 from vntoolkit.options.footage import PictureLimits
 from vntoolkit.options.reconstruction import Product
@@ -31,9 +31,6 @@ class IntegrateArguments(FrameOptions, IntegrationOptions, MeshOptions, PictureL
     convention: Named[NormalConvention | None, NormalConventionName | None] = named(None)
     """Axes of the maps: opengl (y up, z to the viewer), directx (y down, z to the viewer) or opencv (y down,
     z away). Default: what the file states, else what the first map itself tells."""
-    integrator: Named[Integrator | None, IntegratorName | None] = named(Integrator.DISCONTINUITY)
-    """How slopes become depth: discontinuity lets depth jump where the residuals are larger than the errors
-    of the normals explain; poisson is least squares; cosine and fourier need a full rectangle."""
     distance: float | None = None
     """Distance in metres from a perspective camera to the subject. It fixes the scale."""
     to: Named[Product, Literal["normals", "depth", "mesh"]] = named(Product.MESH)
