@@ -77,7 +77,7 @@ LINES = {
     "diagnosis": 4380,
     "evaluation": 1140,
     "geometry": 1800,
-    "integration": 1700,
+    "integration": 1750,
     "io": 8080,
     "live": 900,
     "materials": 2900,
