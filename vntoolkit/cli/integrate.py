@@ -8,6 +8,7 @@ from typing import Literal
 from vntoolkit.cli.output import ProgressBars, print_next, say
 from vntoolkit.cli.verb import command, verb
 from vntoolkit.io.footage.frame_range import FrameRange
+from vntoolkit.io.results.manifest import ReconstructionFolder
 from vntoolkit.options.base import File, Named, OptionalFile, Source, named
 from vntoolkit.options.depth import IntegrationOptions, MeshOptions
 from vntoolkit.options.export import NormalConvention, NormalConventionName
@@ -16,7 +17,6 @@ from vntoolkit.options.reconstruction import Product
 from vntoolkit.options.shared import FrameOptions
 from vntoolkit.pipeline.integrate_normals import IntegrateJob, integrate_normals
 from vntoolkit.pipeline.opened_result import OpenedResult, open_result
-from vntoolkit.pipeline.outputs import ReconstructionFolder
 
 
 @dataclass(frozen=True, kw_only=True)
