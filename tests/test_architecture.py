@@ -101,7 +101,7 @@ CLOSURES = {
     "export": (51, 6_900),
     "view": (55, 7_500),
     "report": (49, 6_700),
-    "integrate": (84, 12_850),
+    "integrate": (85, 12_950),
     "dress": (89, 14_650),
     "simulate": (78, 11_300),
     "doctor": (28, 3_650),
