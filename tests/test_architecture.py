@@ -77,7 +77,7 @@ LINES = {
     "diagnosis": 4150,
     "evaluation": 1140,
     "geometry": 1800,
-    "integration": 1810,
+    "integration": 1750,
     "io": 8200,
     "live": 900,
     "materials": 2900,
