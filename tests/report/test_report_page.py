@@ -14,9 +14,10 @@ from tests.dome_result import SKIPPED, DomeResult
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap
-from vntoolkit.io.results.manifest import FindingEntry, read_manifest, write_manifest
+from vntoolkit.io.results.manifest import FindingEntry, read_manifest
+from vntoolkit.io.results.reconstruction import write_manifest
 from vntoolkit.options.pages import ReportOptions
-from vntoolkit.pipeline.opened_result import open_result
+from vntoolkit.pipeline.opened_result import read_result
 from vntoolkit.report.page import PageSection, PageTable, figure_from_file, figure_from_plot
 from vntoolkit.report.pictures import new_figure, normals_from_depth, picture_of_depth
 from vntoolkit.report.report import content_of_report, write_report
@@ -59,7 +60,9 @@ def test_nothing_is_fetched(page: Path) -> None:
     text = page.read_text()
     policy = re.search(r'http-equiv="Content-Security-Policy" content="([^"]*)"', text)
     assert policy is not None
-    assert policy[1].startswith("default-src 'none'; ")  # no script runs, whatever a name or a figure brings in
+    assert policy[1].startswith(
+        "default-src 'none'; "
+    )  # no script runs, whatever a name or a figure brings in
     assert "script-src" not in policy[1]
     assert re.findall(r'(?:src|href)="(?!data:|#)[^"]*"', text) == []
     assert set(re.findall(r"\w+://[^\"'\s)<]+", text)) <= {
@@ -127,7 +130,7 @@ def test_it_repeats_what_the_run_found(dome_result: DomeResult, tmp_path: Path) 
     first = [page.index(finding.text) for finding in (worse, clipped)]
     assert first == sorted(first)
     assert first[1] < page.index("<h2>Sample frames")
-    found = content_of_report(open_result(folder))["findings"]
+    found = content_of_report(read_result(folder))["findings"]
     assert [finding["text"] for finding in found] == [worse.text, clipped.text]
     assert found[0]["frame"] == 2
 

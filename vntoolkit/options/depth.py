@@ -12,10 +12,10 @@ from vntoolkit.options.base import Named, Options, named
 class Integrator(Enum):
     """How slopes become depth.
 
-    FOURIER: Frankot and Chellappa's projection on a mirrored image; full rectangle.
-    COSINE: least squares by the discrete cosine transform; full rectangle; the fastest.
+    DISCONTINUITY: as POISSON; depth may jump where the normals' errors do not explain its residuals.
     POISSON: least squares inside any mask, weighted by confidence.
-    DISCONTINUITY: inside any mask, weighted; depth may jump where the normals suggest it.
+    COSINE: least squares by the discrete cosine transform; full rectangle; the fastest.
+    FOURIER: Frankot and Chellappa's projection on a mirrored image; full rectangle.
     """
 
     FOURIER = "fourier"
@@ -38,10 +38,9 @@ class Precision(Enum):
 class IntegrationOptions(Options):
     """Options of `DepthIntegrator`."""
 
-    integrator: Named[Integrator | None, IntegratorName | None] = named(None)
-    """How slopes become depth: fourier or cosine over a full rectangle, poisson inside any mask, or
-    discontinuity, which lets depth jump where the normals suggest it; by default cosine where every pixel is
-    used, else poisson."""
+    integrator: Named[Integrator, IntegratorName] = named(Integrator.DISCONTINUITY)
+    """How slopes become depth: discontinuity (least squares; depth jumps where the errors of the normals do
+    not explain a residual), poisson (least squares), or cosine or fourier over a full rectangle."""
     steepest_slope_deg: float = 89.0
     """Angle in degrees between a normal and the way to the camera beyond which slopes are held at that angle;
     keeps grazing and backward normals from exploding."""

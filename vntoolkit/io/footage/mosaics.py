@@ -9,15 +9,10 @@ import numpy as np
 
 from vntoolkit.arrays import Array, ByteArray, FloatArray, UInt16Array
 from vntoolkit.errors import BadCapture, BadInput
-from vntoolkit.io.files import opened, require_pixels
-from vntoolkit.native import silenced_native_output
+from vntoolkit.io.files import opened, require_pixels, silenced_native_output
+from vntoolkit.io.footage.stated import RAW_SUFFIXES
 from vntoolkit.options.footage import Bayer, Demosaic
 
-# Camera raw files that LibRaw reads.
-RAW_SUFFIXES = (
-    ".dng", ".cr2", ".cr3", ".crw", ".nef", ".nrw", ".arw", ".sr2", ".raf", ".orf", ".rw2", ".pef", ".srw",
-    ".3fr", ".fff", ".iiq", ".kdc", ".dcr", ".erf", ".mef", ".mos", ".mrw", ".rwl", ".x3f",
-)  # fmt: skip
 _FULL = 65535
 # tags of DNG, and values of theirs
 _DNG_VERSION, _CFA_SIZE, _CFA_LAYOUT, _ACTIVE_AREA = 50706, 33421, 50711, 50829

@@ -10,7 +10,7 @@ from vntoolkit.arrays import Array, FloatArray, Flow, Mask
 from vntoolkit.checks import require_shape
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
-from vntoolkit.io.footage.images import write_png
+from vntoolkit.io.footage.image_writing import write_png
 from vntoolkit.io.maps_and_meshes.exr import ExrCompression, read_exr, write_exr
 from vntoolkit.options.export import NormalConvention
 
