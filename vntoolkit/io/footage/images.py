@@ -205,6 +205,8 @@ def _decoded_by_tifffile(
 
 def _sound_samples(pixels: Array, header: "ImageHeader", path: Path | str, error: type[BadInput]) -> Array:
     """Return samples of 8 or 16 bits, whose full scale is all ones, or finite floats; raise for any other."""
+    if sorted(pixels.shape[:2]) != sorted((header.height, header.width)):
+        raise error(f"{path}: its samples are damaged; copy it again")
     if pixels.dtype == np.float64:
         pixels = pixels.astype(np.float32)
     if pixels.dtype not in (np.uint8, np.uint16, np.float32):
@@ -314,7 +316,7 @@ def header_of_stream(stream: BinaryIO, name: str, error: type[BadInput] = BadCap
 
 def _by_pillow(data: bytes, name: str, chunks: dict[bytes, bytes], error: type[BadInput]) -> ImageHeader:
     """chunks: of a PNG, as `_sound_chunks` returns them."""
-    from PIL import BmpImagePlugin, JpegImagePlugin, PngImagePlugin, WebPImagePlugin
+    from PIL import BmpImagePlugin, Image, JpegImagePlugin, PngImagePlugin, WebPImagePlugin
 
     # the classes themselves: `Image.open` has a limit of its own for the number of pixels
     readers: dict[str, Any] = {
@@ -326,7 +328,10 @@ def _by_pillow(data: bytes, name: str, chunks: dict[bytes, bytes], error: type[B
     format_name = next((known for known, magic in _BY_PILLOW.items() if data.startswith(magic)), None)
     if format_name is None or (format_name == "WEBP" and data[8:12] != b"WEBP"):
         raise error(f"{name}: is not a PNG, TIFF, JPEG, BMP, WebP or EXR image")
-    image = readers[format_name](io.BytesIO(data))
+    try:
+        image = readers[format_name](io.BytesIO(data))
+    except Image.DecompressionBombError as problem:  # of a size that no file of its format can have
+        raise ValueError(str(problem)) from problem
     chroma = "4:2:0" if format_name == "WEBP" and b"VP8 " in data[12:4096] else "4:4:4"
     if isinstance(image, JpegImagePlugin.JpegImageFile) and image.layers == 3:
         chroma = _JPEG_CHROMA.get((image.layer[0][1], image.layer[0][2]), chroma)
@@ -394,14 +399,17 @@ def _focal_px(focal_mm: float, width: int, height: int) -> float | None:
 
 def _pictures(image: Any) -> int:
     """Return how many pictures an opened file holds, without the previews that cameras put behind a JPEG."""
+    from PIL import Image
+
     count = getattr(image, "n_frames", 1)
     if image.format != "MPO":
         return int(count)
     size, alike = image.size, 0
     for number in range(count):
-        image.seek(number)
-        alike += image.size == size
-    return alike
+        with contextlib.suppress(*_UNREAD, Image.DecompressionBombError):  # of a damaged preview
+            image.seek(number)
+            alike += image.size == size
+    return max(1, alike)
 
 
 def _curve_of_bmp(data: bytes) -> str:

@@ -1,6 +1,7 @@
 """Frames as the sensor recorded them: camera raw files, and Bayer mosaics that are stored as grey."""
 
 import contextlib
+import struct
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -14,8 +15,9 @@ from vntoolkit.io.footage.stated import RAW_SUFFIXES
 from vntoolkit.options.footage import Bayer, Demosaic
 
 _FULL = 65535
+_DAMAGES = (ValueError, OSError, TypeError, KeyError, IndexError, AttributeError, OverflowError, struct.error)
 # tags of DNG, and values of theirs
-_DNG_VERSION, _CFA_SIZE, _CFA_LAYOUT, _ACTIVE_AREA = 50706, 33421, 50711, 50829
+_CFA_SIZE, _CFA_LAYOUT, _ACTIVE_AREA = 33421, 50711, 50829
 _BLACK_REPEAT, _LEVELS = 50713, (50714, 50716, 50715, 50717)  # black, and what rows and columns add; white
 _MOSAIC, _COLOURS = 32803, 34892  # photometric: one colour a pixel, or all
 _FRACTIONS, _FLOATING = (5, 10), 3
@@ -85,7 +87,7 @@ def read_raw(
                     output_bps=16,
                     **scaled,
                 )
-        except (rawpy.LibRawError, ValueError, OSError) as problem:
+        except (rawpy.LibRawError, *_DAMAGES) as problem:
             reason = " ".join(str(problem).replace("b'", "").strip("'").split()).lower()
             raise error(
                 f"{path}: cannot be read as a camera raw file ({reason}); it is damaged or unknown"
@@ -125,12 +127,14 @@ def _levels_of_dng(stream: BinaryIO, path: Path | str, error: type[BadInput]) ->
     """
     import tifffile
 
+    if Path(path).suffix.lower() != ".dng":
+        return None
     stream.seek(0)
     with contextlib.suppress(tifffile.TiffFileError), tifffile.TiffFile(stream) as tiff:
         main: list[Any] = list(tiff.pages)
         pages = [each for first in main for each in (first, *(getattr(first, "pages", None) or ()))]
         page = next((each for each in pages if each.photometric in (_MOSAIC, _COLOURS)), None)
-        if page is None or _DNG_VERSION not in main[0].tags:
+        if page is None:
             return None
         tags = page.tags
         height, width = tags.valueof(_CFA_SIZE, (2, 2))
@@ -139,13 +143,14 @@ def _levels_of_dng(stream: BinaryIO, path: Path | str, error: type[BadInput]) ->
                 f"{path}: its colour filters repeat every {width}×{height} pixels, or their rows are "
                 "staggered; expected a Bayer or X-Trans pattern: have the camera save binned or RGB pixels"
             )
+        cell = tags.valueof(_BLACK_REPEAT, (1, 1))
         levels, down, across, white = (_values(tags, code) for code in _LEVELS)
         one = not (np.ptp(levels) or np.ptp(white) or down.any() or across.any())
         if one or page.sampleformat == _FLOATING:  # which LibRaw turns into integers of its own scale
             return None
         return _Levels(
             area=tags.valueof(_ACTIVE_AREA),
-            black=np.resize(levels, (*tags.valueof(_BLACK_REPEAT, (1, 1)), page.samplesperpixel)),
+            black=np.broadcast_to(levels.reshape(*cell, -1), (*cell, page.samplesperpixel)),
             down=down,
             across=across,
             white=white if page.photometric == _COLOURS and white.all() else None,
@@ -162,7 +167,9 @@ def _values(tags: Any, code: int) -> FloatArray:
 
 def _scale_to_levels(samples: UInt16Array, levels: _Levels, saturation: int) -> None:
     """Scale (h, w) or (h, w, c) samples so that 0 is the black level of each, and `_FULL` the white one."""
-    top, left, bottom, right = levels.area or (0, 0, *samples.shape[:2])
+    height, width = samples.shape[:2]
+    top, left, bottom, right = levels.area or (0, 0, height, width)
+    bottom, right = min(bottom, height), min(right, width)
     white = saturation if levels.white is None else levels.white
     stack = np.atleast_3d(samples)[..., : levels.black.shape[2]]
     across = np.resize(levels.across, (right - left, 1))
