@@ -71,7 +71,7 @@ DOORS = {
 
 # Room -> most lines of all its files; "(root)" holds the files beside the rooms.
 LINES = {
-    "(root)": 1960,
+    "(root)": 1990,
     "calibration": 4720,
     "cli": 3410,
     "diagnosis": 4380,
@@ -86,7 +86,7 @@ LINES = {
     "options": 1700,
     "photometry": 1040,
     "pipeline": 7640,
-    "report": 3120,
+    "report": 3130,
     "shadows": 3080,
     "simulation": 3570,
     "skinning": 2130,
