@@ -29,8 +29,8 @@ class SilhouetteOptions(Options):
     """Options of the silhouettes."""
 
     threshold: float | None = None
-    """Mean of the channels, 0 to 1 of full scale, above which a pixel is subject, before the contour is moved
-    to the edge beside it; default: found from the image's border."""
+    """Mean of the channels, 0 to 1 of full scale, above which a pixel is subject. The contour is then moved
+    to the edge beside it. Default: found from the image's border."""
 
     def _require_valid(self) -> None:
         if self.threshold is not None and not 0 < self.threshold < 1:
@@ -76,7 +76,7 @@ class PoseOptions(Options):
     pose_tracks: int = 2000
     """Tracks drawn at random for the solution; more cost time and gain little."""
     least_turn_deg: float = 40.0
-    """Smallest turn from one end to the other that carries a calibration."""
+    """Least turn of the head from one end to the other, in degrees. A smaller turn is refused."""
 
     def _require_valid(self) -> None:
         if self.pose_tracks < LEAST_TRACKS or not 0 < self.least_turn_deg < 180:
@@ -114,15 +114,15 @@ class StereoOptions(Options):
     stereo_window_px: int = 13
     """Side of the compared window."""
     before: float = 0.010
-    """How far in front of the hull depth is searched, as a share of its diagonal; the head lies inside the
-    hull, so little is needed: raise it where the silhouettes cut into the head."""
+    """How far in front of the hull depth is searched, as a share of its diagonal. Little is needed, since the
+    head lies inside the hull. Raise it where the silhouettes cut into the head."""
     behind: float = 0.070
-    """How far beneath the hull depth is searched, as a share of its diagonal, 0.07 being 2 to 3 cm of a head;
-    raise it where hollows such as eye sockets come out filled, lower it where dents appear that the head does
+    """How far beneath the hull depth is searched, as a share of its diagonal; 0.07 is 2 to 3 cm of a head.
+    Raise it where hollows such as eye sockets come out filled. Lower it where dents appear that the head does
     not have."""
     least_correlation: float = 0.6
-    """Correlation of the compared windows, 0 to 1, below which a pixel gets no depth; lower it to 0.5 where
-    smooth or dark skin leaves holes, raise it to 0.7 where wrong points roughen the surface."""
+    """Correlation of the compared windows, 0 to 1, below which a pixel gets no depth. Lower it to 0.5 where
+    smooth or dark skin leaves holes. Raise it to 0.7 where wrong points roughen the surface."""
     smoothing_px: float = 2.0
     """Standard deviation of the smoothing of the depth in a map."""
 
@@ -158,11 +158,11 @@ class FusionOptions(Options):
     """Distance, as a share of the hull's diagonal, within which points of another view must confirm a point.
     """
     confirmations: int = 1
-    """How many other views must confirm a point for it to be kept; raise it to 2 or 3 where single wrong
-    points leave bumps, lower it to 0 where parts that few views saw are missing."""
+    """How many other views must confirm a point for it to be kept. Raise it to 2 or 3 where single wrong
+    points leave bumps. Lower it to 0 where parts are missing that few views saw."""
     hull_gap: float = 0.008
-    """The hull itself is surface where no depth of stereo lies within this distance, as a share of the
-    diagonal."""
+    """Where stereo gives no depth within this distance, the hull is taken for the surface. As a share of the
+    hull's diagonal."""
 
     def _require_valid(self) -> None:
         if not 4 <= self.fusion_depth <= 12 or self.confirmations < 0:
@@ -190,8 +190,8 @@ class LightOptions(Options):
     """Options of the fit of M to skin."""
 
     light_model: Named[ResponseModel, ResponseModelName] = named(ResponseModel.LINEAR)
-    """3×3, or 3×4 with ambient light, for skin of one albedo only: on bare skin, variation of albedo passes
-    for ambient light."""
+    """3×3; or 3×4, which adds ambient light. Take 3×4 for skin of one colour only: on bare skin it takes
+    changes of the albedo for ambient light."""
     light_draws: int = 1500
     """Random hypotheses of M that are tried."""
     light_inlier: float = 0.12
