@@ -110,8 +110,11 @@ def doctor_command(asked: DoctorArguments) -> int:
     report: CaptureReport = inspect_footage.run(asked)  # type: ignore[attr-defined]
     _print_report(Console(emoji=False), str(asked.source), report)
     fatal = any(finding.level is Level.FATAL for finding in report.findings)
-    if not fatal:
-        print_next("reconstruct", str(asked.source), "--rig", asked.rig or "rig.json", "--out", "result")
+    rig = Path(asked.rig or "rig.json")
+    if not fatal and rig.is_file():
+        print_next("reconstruct", str(asked.source), "--rig", rig, "--out", "result")
+    elif not fatal:
+        print_next("board", "--out", "board.pdf")
     return int(fatal)
 
 
