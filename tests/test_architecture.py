@@ -73,7 +73,7 @@ DOORS = {
 LINES = {
     "(root)": 1990,
     "calibration": 4720,
-    "cli": 3410,
+    "cli": 3420,
     "diagnosis": 4380,
     "evaluation": 1140,
     "geometry": 1800,
