@@ -30,7 +30,7 @@ import vntoolkit as vt
 from vntoolkit.arrays import FloatArray
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.io.atomic import write_bytes
-from vntoolkit.io.footage.images import encoded_image, resized_image
+from vntoolkit.io.footage.image_writing import encoded_image, resized_image
 from vntoolkit.io.footage.video import write_video
 from vntoolkit.pipeline.checkerboard import write_checkerboard
 from vntoolkit.pipeline.opened_result import OpenedResult

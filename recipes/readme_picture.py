@@ -13,7 +13,7 @@ from pathlib import Path
 from PIL import Image
 
 from vntoolkit.io.atomic import write_bytes
-from vntoolkit.io.footage.images import encoded_image, resized_image
+from vntoolkit.io.footage.image_writing import encoded_image, resized_image
 from vntoolkit.pipeline.opened_result import OpenedResult, open_result
 from vntoolkit.report.mesh_views import View, picture_of
 from vntoolkit.report.pictures import cropped, picture_of_depth, picture_of_normals, tiled

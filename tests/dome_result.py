@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from tests.pipeline.conftest import write_dome_capture
-from vntoolkit.io.footage.images import write_png
+from vntoolkit.io.footage.image_writing import write_png
+from vntoolkit.io.results.manifest import ReconstructionFolder
 from vntoolkit.options.normals import ShadowMethod
 from vntoolkit.options.reconstruction import OnError, ReconstructOptions
 from vntoolkit.options.tracking import TrackingOptions
 from vntoolkit.photometry.rig import FitQuality
 from vntoolkit.pipeline.checkerboard import write_checkerboard
-from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.reconstruct import reconstruct
 from vntoolkit.pipeline.request import Request
 from vntoolkit.pipeline.texture import write_texture

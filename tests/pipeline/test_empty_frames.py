@@ -12,7 +12,7 @@ from vntoolkit.__main__ import main
 from vntoolkit.diagnosis.inspection import inspect_capture
 from vntoolkit.errors import BadCapture
 from vntoolkit.io.footage.captures import open_capture
-from vntoolkit.io.footage.images import write_png
+from vntoolkit.io.footage.image_writing import write_png
 from vntoolkit.io.results.manifest import read_manifest
 from vntoolkit.options.tracking import TrackingOptions
 from vntoolkit.photometry.response import rgb_from_normals

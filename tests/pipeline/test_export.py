@@ -21,8 +21,8 @@ from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.footage.images import read_image, read_image_with_alpha
 from vntoolkit.io.light_files import read_lights
 from vntoolkit.io.maps_and_meshes.arrays import StreamedArray, write_npz
-from vntoolkit.io.maps_and_meshes.label_images import read_mask
 from vntoolkit.io.maps_and_meshes.maps import read_depth_map, read_normal_map
+from vntoolkit.io.maps_and_meshes.masks import read_mask
 from vntoolkit.io.maps_and_meshes.meshes import read_mesh, read_point_cloud
 from vntoolkit.io.results.sequences import read_mesh_sequence
 from vntoolkit.normals.photometric_stereo import normals_from_lights

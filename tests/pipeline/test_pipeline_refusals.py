@@ -17,7 +17,8 @@ from vntoolkit.errors import BadCalibration, BadCapture, BadInput, BadMotion
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.mesh import Mesh, MeshSequence
 from vntoolkit.geometry.motion import Motion, Skeleton
-from vntoolkit.io.footage.images import write_png
+from vntoolkit.io.footage.image_writing import write_png
+from vntoolkit.io.results.manifest import ReconstructionFolder
 from vntoolkit.io.rigs import write_rig
 from vntoolkit.options.calibration import LightColours, PressOptions
 from vntoolkit.options.reconstruction import ReconstructOptions
@@ -35,7 +36,6 @@ from vntoolkit.pipeline.evaluate import (
     surface_cases,
 )
 from vntoolkit.pipeline.opened_result import open_result
-from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.reconstruct import reconstruct
 from vntoolkit.pipeline.request import Request
 from vntoolkit.pipeline.simulate import SimulationFolder, SimulationJob

@@ -14,7 +14,8 @@ from vntoolkit.diagnosis.press_checks import (
     check_press_transfer,
 )
 from vntoolkit.geometry.maps import DepthMap
-from vntoolkit.io.footage.images import read_image, write_png
+from vntoolkit.io.footage.image_writing import write_png
+from vntoolkit.io.footage.images import read_image
 from vntoolkit.io.maps_and_meshes.maps import read_depth_map, read_normal_map
 from vntoolkit.io.rigs import read_rig
 from vntoolkit.pipeline.calibrate_presses import PressJob, PressReader

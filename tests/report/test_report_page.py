@@ -14,7 +14,8 @@ from tests.dome_result import SKIPPED, DomeResult
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap
-from vntoolkit.io.results.manifest import FindingEntry, read_manifest, write_manifest
+from vntoolkit.io.results.manifest import FindingEntry, read_manifest
+from vntoolkit.io.results.reconstruction import write_manifest
 from vntoolkit.options.pages import ReportOptions
 from vntoolkit.pipeline.opened_result import open_result
 from vntoolkit.report.page import PageSection, PageTable, figure_from_file, figure_from_plot

@@ -13,7 +13,8 @@ from tests.tracking.wrinkled_video import WrinkledVideo
 from vntoolkit.errors import BadInput
 from vntoolkit.io.maps_and_meshes.label_images import write_labels
 from vntoolkit.io.maps_and_meshes.maps import write_depth_map, write_normal_map
-from vntoolkit.io.results.manifest import InputEntry, Manifest, read_manifest, write_manifest
+from vntoolkit.io.results.manifest import InputEntry, Manifest, ReconstructionFolder, read_manifest
+from vntoolkit.io.results.reconstruction import write_manifest
 from vntoolkit.io.results.seams import read_seams, write_seams
 from vntoolkit.io.results.sequences import read_mesh_sequence
 from vntoolkit.io.rigs import entry_from_rig
@@ -21,7 +22,6 @@ from vntoolkit.options.tracking import Tracker, TrackingOptions
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline.checkerboard import write_checkerboard
-from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.track import TrackJob, track
 
 FRAMES = 8

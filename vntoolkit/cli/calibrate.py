@@ -23,7 +23,7 @@ from vntoolkit.io.footage.captures import Capture, CaptureOptions, open_capture
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.maps_and_meshes.meshes import write_mesh
 from vntoolkit.io.rigs import read_rig, write_rig
-from vntoolkit.native import require_installed
+from vntoolkit.libraries import require_installed
 from vntoolkit.options.base import File, Named, OptionalFile, Source, as_path, named
 from vntoolkit.options.calibration import (
     BoardOptions,
@@ -35,18 +35,7 @@ from vntoolkit.options.calibration import (
     SphereOptions,
 )
 from vntoolkit.options.footage import MatteOptions, PictureLimits, SensorOptions
-from vntoolkit.options.head import (
-    FollowOptions,
-    FusionOptions,
-    HeadOptions,
-    HullOptions,
-    LightOptions,
-    PoseOptions,
-    SampleOptions,
-    SilhouetteOptions,
-    StereoOptions,
-    TrackOptions,
-)
+from vntoolkit.options.head import HeadOptions
 from vntoolkit.options.shared import (
     AllowOptions,
     BackgroundOptions,
@@ -229,13 +218,10 @@ def report_rig(out: Path, rig: Rig, seen: str) -> None:
 
 
 @dataclass(frozen=True, kw_only=True)
-class HeadArguments(
-    FootageArguments, HeadOptions, FollowOptions, SilhouetteOptions, TrackOptions, PoseOptions, HullOptions,
-    StereoOptions, FusionOptions, SampleOptions, LightOptions,
-):  # fmt: skip
+class HeadArguments(FootageArguments, HeadOptions):
     """What `calibrate_head` takes."""
 
-    WITHOUT: ClassVar[tuple[str, ...]] = ("single_light", "neighbour_angles_deg")
+    WITHOUT: ClassVar[tuple[str, ...]] = ("single_light",)
 
     source: Source = field(kw_only=False)
     """A video, a folder of images, or a pattern."""

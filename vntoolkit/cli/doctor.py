@@ -19,7 +19,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from vntoolkit import __version__, native
+from vntoolkit import __version__, libraries
 from vntoolkit.cli.given import curve_from_text
 from vntoolkit.cli.output import print_next
 from vntoolkit.cli.verb import command, verb
@@ -137,8 +137,8 @@ def _check_libraries(console: Console) -> int:
     with console.status("importing every library"), ThreadPoolExecutor(max_workers=2) as pool:
         trials = list(pool.map(_try, programs))
     lines = []
-    missing = native.missing_libraries(
-        {**native.OPEN3D_LIBRARIES, **native.PYMESHLAB_LIBRARIES, **native.NUMBA_LIBRARIES}
+    missing = libraries.missing_libraries(
+        {**libraries.OPEN3D_LIBRARIES, **libraries.PYMESHLAB_LIBRARIES, **libraries.NUMBA_LIBRARIES}
     )
     for (name, _, purpose), trial in zip(_LIBRARIES, trials, strict=False):
         shown, its_version = _installed(name)
@@ -153,7 +153,7 @@ def _check_libraries(console: Console) -> int:
     if trials[-1].fault:
         lines.append(f"a video cannot be written and read back: {trials[-1].fault}")
     if missing:
-        lines.append(f"this system lacks {', '.join(missing)}: {native.remedy(missing)}")
+        lines.append(f"this system lacks {', '.join(missing)}: {libraries.remedy(missing)}")
     console.print(table)
     for line in lines:
         console.print(f"[red]broken[/] {escape(line)}", highlight=False, soft_wrap=True)
@@ -166,7 +166,7 @@ def _check_libraries(console: Console) -> int:
 def _installed(name: str) -> tuple[str, str]:
     """Return a distribution's name and version."""
     if name == "open3d":
-        return native.open3d_distribution()
+        return libraries.open3d_distribution()
     try:
         return name, version(name)
     except PackageNotFoundError:
@@ -181,7 +181,7 @@ def _try(program: str) -> _Trial:
     except subprocess.TimeoutExpired:
         return _Trial(fault=f"did not end within {_LONGEST_S:g} s")
     text = (done.stdout + done.stderr).decode(errors="replace").strip()
-    missing = native.libraries_named_in(text)
+    missing = libraries.libraries_named_in(text)
     if missing:
         return _Trial(fault=f"needs {', '.join(missing)}", missing=missing)
     if done.returncode < 0:

@@ -8,15 +8,15 @@ from typing import Literal
 from vntoolkit.cli.output import ProgressBars, print_next, say
 from vntoolkit.cli.verb import command, verb
 from vntoolkit.io.footage.frame_range import FrameRange
+from vntoolkit.io.results.manifest import ReconstructionFolder
 from vntoolkit.options.base import File, Named, OptionalFile, Source, named
-from vntoolkit.options.depth import IntegrationOptions, Integrator, IntegratorName, MeshOptions
+from vntoolkit.options.depth import IntegrationOptions, MeshOptions
 from vntoolkit.options.export import NormalConvention, NormalConventionName
 from vntoolkit.options.footage import PictureLimits
 from vntoolkit.options.reconstruction import Product
 from vntoolkit.options.shared import FrameOptions
 from vntoolkit.pipeline.integrate_normals import IntegrateJob, integrate_normals
 from vntoolkit.pipeline.opened_result import OpenedResult, open_result
-from vntoolkit.pipeline.outputs import ReconstructionFolder
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,9 +39,6 @@ class IntegrateArguments(FrameOptions, IntegrationOptions, MeshOptions, PictureL
     convention: Named[NormalConvention | None, NormalConventionName | None] = named(None)
     """Axes of the maps: opengl (y up, z to the viewer), directx (y down, z to the viewer) or opencv (y down,
     z away). Default: what the file states, else what the first map itself tells."""
-    integrator: Named[Integrator | None, IntegratorName | None] = named(Integrator.DISCONTINUITY)
-    """How slopes become depth: discontinuity lets depth jump where the residuals are larger than the errors
-    of the normals explain; poisson is least squares; cosine and fourier need a full rectangle."""
     distance: float | None = None
     """Distance in metres from a perspective camera to the subject. It fixes the scale."""
     to: Named[Product, Literal["normals", "depth", "mesh"]] = named(Product.MESH)

@@ -12,6 +12,7 @@ from vntoolkit.diagnosis.finding import require_known_checks
 from vntoolkit.errors import BadCapture
 from vntoolkit.io.footage.captures import CaptureOptions, open_capture
 from vntoolkit.io.footage.frame_range import FrameRange
+from vntoolkit.io.results.manifest import ReconstructionFolder
 from vntoolkit.io.rigs import read_rig
 from vntoolkit.options.base import File, Named, OptionalFile, Source, as_path, named
 from vntoolkit.options.depth import IntegrationOptions, MeshOptions
@@ -22,7 +23,6 @@ from vntoolkit.options.shared import AllowOptions, BackgroundOptions, CornerOpti
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import Transfer
 from vntoolkit.pipeline.opened_result import OpenedResult, open_result
-from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.reconstruct import ReconstructionSummary
 from vntoolkit.pipeline.reconstruct import reconstruct as run
 from vntoolkit.pipeline.request import Request

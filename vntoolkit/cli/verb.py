@@ -55,10 +55,7 @@ _PANELS: dict[str, tuple[str, ...]] = {
         "albedo_tolerance", "darkest", "clipped", "steepest_slope_deg", "least_weight", "precision",
         "tolerance", "most_iterations", "largest_step", "shadow_share", "outlier_sigmas", "inlier_share",
         "largest_error_px", "radial_terms", "tangential", "rim_share", "contact_share", "flat_share",
-        "hull_cells", "corner_spacing_px", "window_px", "margin_px", "pose_tracks", "least_turn_deg",
-        "references", "stereo_window_px", "before", "behind", "least_correlation", "smoothing_px",
-        "fusion_depth", "agreement", "confirmations", "hull_gap", "light_frames", "light_points",
-        "light_draws", "light_inlier", "threshold", "neighbours",
+        "threshold", "neighbours",
     ),
 }  # fmt: skip
 _PANEL_OF = {name: panel for panel, names in _PANELS.items() for name in names}

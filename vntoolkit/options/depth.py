@@ -12,10 +12,11 @@ from vntoolkit.options.base import Named, Options, named
 class Integrator(Enum):
     """How slopes become depth.
 
-    FOURIER: Frankot and Chellappa's projection on a mirrored image; full rectangle.
-    COSINE: least squares by the discrete cosine transform; full rectangle; the fastest.
+    DISCONTINUITY: inside any mask, weighted; depth may jump where the errors of the normals do not explain
+    the residuals of least squares. The default.
     POISSON: least squares inside any mask, weighted by confidence.
-    DISCONTINUITY: inside any mask, weighted; depth may jump where the normals suggest it.
+    COSINE: least squares by the discrete cosine transform; full rectangle; the fastest.
+    FOURIER: Frankot and Chellappa's projection on a mirrored image; full rectangle.
     """
 
     FOURIER = "fourier"
@@ -38,10 +39,10 @@ class Precision(Enum):
 class IntegrationOptions(Options):
     """Options of `DepthIntegrator`."""
 
-    integrator: Named[Integrator | None, IntegratorName | None] = named(None)
-    """How slopes become depth: fourier or cosine over a full rectangle, poisson inside any mask, or
-    discontinuity, which lets depth jump where the normals suggest it; by default cosine where every pixel is
-    used, else poisson."""
+    integrator: Named[Integrator, IntegratorName] = named(Integrator.DISCONTINUITY)
+    """How slopes become depth: discontinuity is least squares, and lets depth jump where its residuals are
+    larger than the errors of the normals explain; poisson is least squares inside any mask; cosine and
+    fourier are least squares over a full rectangle."""
     steepest_slope_deg: float = 89.0
     """Steepest slope: the largest angle in degrees between a normal and the direction to the camera. A normal
     beyond it is held at it, so that grazing normals do not tear the depth."""

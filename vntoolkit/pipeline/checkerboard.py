@@ -9,7 +9,7 @@ import numpy as np
 from vntoolkit.arrays import ByteArray
 from vntoolkit.errors import BadInput
 from vntoolkit.io.footage.frame_range import sampled
-from vntoolkit.io.footage.images import write_png
+from vntoolkit.io.footage.image_writing import write_png
 from vntoolkit.options.tracking import CheckerboardOptions
 from vntoolkit.pipeline.opened_result import OpenedResult, open_result
 from vntoolkit.pipeline.tracked_folder import Tracks, read_tracks

@@ -19,10 +19,7 @@ from vntoolkit.geometry.mesh import Mesh, vertex_normals
 from vntoolkit.io import atomic
 from vntoolkit.io.conventions import graphics_from_camera
 from vntoolkit.io.footage.frame_range import FrameRange
-from vntoolkit.io.light_files import remove_diligent, write_diligent
-from vntoolkit.io.maps_and_meshes.arrays import StreamedArray, write_npz
 from vntoolkit.io.maps_and_meshes.maps import write_normal_map
-from vntoolkit.io.maps_and_meshes.meshes import write_material, write_mesh, write_point_cloud
 from vntoolkit.io.maps_and_meshes.texture import SurfaceTexture
 from vntoolkit.io.results.folder import FolderKind, begin_run, read_lock, write_lock
 from vntoolkit.options.export import ExportedSurface, ExportFormat, ExportOptions, FileUnit
@@ -209,13 +206,19 @@ def _export_folder(
     return ExportSummary(out=out, frames=len(numbers), kept=len(kept), is_tracked=writer.is_tracked)
 
 
+def _remove_frame_folder(folder: Path) -> None:
+    from vntoolkit.io.light_files import remove_diligent
+
+    remove_diligent(folder)
+
+
 EXPORT = FolderKind(
     verb="export",
     holds="an export",
     record="export.json",
     files=("track.npz", _MATERIAL, "surface_albedo.png", "surface_normal.png"),
     frames={".": (".ply", ".obj", ".glb", ".npz", ".png")},  # whatever the format of the earlier one
-    clear_frame=remove_diligent,
+    clear_frame=_remove_frame_folder,
 )
 
 
@@ -372,12 +375,16 @@ class _Meshes(FrameExport):
             camera = viewed_from(self.result.camera, self.offset)
             write_glb(path, mesh, iter([mesh.vertices]), frame_rate_hz=rate, camera=camera)
         else:
+            from vntoolkit.io.maps_and_meshes.meshes import write_mesh
+
             write_mesh(path, mesh, up=self.options.up, material=material)
 
     def _material(self, out: Path) -> str:
         """Write the material that all frames share, once; return its name."""
         path = out / _MATERIAL
         if self._texture is not None and not self._has_material:
+            from vntoolkit.io.maps_and_meshes.meshes import write_material
+
             beside = self._texture.beside(path)
             write_material(path, beside.albedo, beside.normal)
             self._has_material = True
@@ -400,6 +407,7 @@ class _PointClouds(FrameExport):
         return [self.result.folder.file(kind, number) for kind in ("normals", "depth")]
 
     def write(self, out: Path, number: int) -> None:
+        from vntoolkit.io.maps_and_meshes.meshes import write_point_cloud
         from vntoolkit.meshing.surface import point_cloud_from_depth
 
         depth_map = self.result.depth(number)
@@ -434,6 +442,8 @@ class _Arrays(FrameExport):
         return [self.result.folder.file(kind, number) for kind in ("normals", "depth", "shadows", "mesh")]
 
     def write(self, out: Path, number: int) -> None:
+        from vntoolkit.io.maps_and_meshes.arrays import write_npz
+
         write_npz(self.place(out, number), arrays_of_frame(self.result, number, self.options, self.factor))
 
     def finish(self, out: Path) -> None:
@@ -464,6 +474,8 @@ class _Diligent(FrameExport):
         return self.place(out, number) / "filenames.txt"
 
     def write(self, out: Path, number: int) -> None:
+        from vntoolkit.io.light_files import write_diligent
+
         response = self.result.rig.response
         rgb = self.result.linear(number).rgb - response.ambient
         contributions = rgb @ response.contributions_from_rgb.T / self._scale
@@ -536,6 +548,8 @@ def write_tracked_npz(
 ) -> None:
     """Write the registered surface: vertices (frames, n, 3), faces, uv, uncertainty_px, frames, times_s,
     frame_rate_hz."""
+    from vntoolkit.io.maps_and_meshes.arrays import StreamedArray, write_npz
+
     wanted = set(numbers)
     rows = [row for row, number in enumerate(track.numbers) if number in wanted]
     sequence, template = track.sequence, track.sequence.template

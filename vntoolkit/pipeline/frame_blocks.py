@@ -18,9 +18,8 @@ from vntoolkit.native import loops_may_overlap
 from vntoolkit.options.reconstruction import OnError
 from vntoolkit.photometry.frame import ALL_LIT
 from vntoolkit.pipeline.frame_processor import Carried, FrameProcessor, PreparedFrame
-from vntoolkit.pipeline.outputs import FrameResult
+from vntoolkit.pipeline.outputs import FrameResult, write_frame
 from vntoolkit.pipeline.request import Request
-from vntoolkit.pipeline.smoothing import smoothed_frames
 from vntoolkit.pipeline.threads import WriteBehind, read_ahead, side_by_side
 
 _WAITING = 1  # frames that lie between one thread and the next
@@ -58,8 +57,7 @@ class FrameBlockProcessor:
         if options.ties_depth or known.materials:
             at = known.reference_frame
             with contextlib.suppress(VntError):  # where it is met as a frame, it is reported
-                capture = self._footage.capture
-                frame = next(smoothed_frames(capture, range(at, at + 1), options.smoothing))
+                frame = next(self._frames(range(at, at + 1)))
                 self._processor.set_reference(
                     self._carried, frame, mattes.of(frame), ties_depth=options.ties_depth
                 )
@@ -71,7 +69,7 @@ class FrameBlockProcessor:
         frame's files are in place.
         """
         self._carried.reset()
-        frames = smoothed_frames(self._footage.capture, block, self._options.smoothing)
+        frames = self._frames(block)
         written: list[FrameEntry] = []
 
         def write(done: _FrameAtWork) -> None:
@@ -96,6 +94,14 @@ class FrameBlockProcessor:
                 while written:
                     yield written.pop(0)
         yield from written
+
+    def _frames(self, block: range) -> Iterator[EncodedFrame]:
+        capture, sameness = self._footage.capture, self._options.smoothing
+        if not sameness > 0:
+            return capture.encoded_frames(block.start, block.stop, block.step)
+        from vntoolkit.pipeline.smoothing import smoothed_frames
+
+        return smoothed_frames(capture, block, sameness)
 
     def _with_light(self, frame: EncodedFrame) -> _FrameAtWork:
         mattes = self._footage.mattes
@@ -143,7 +149,7 @@ class FrameBlockProcessor:
                 failure=done.failure,
                 shows_nothing=done.shows_nothing,
             )
-        self._request.folder.write(done.result)
+        write_frame(self._request.folder, done.result)
         return record_of(done.result, done.seconds + time.perf_counter() - started)
 
 

@@ -21,7 +21,7 @@ from vntoolkit.io.files import read_text
 from vntoolkit.io.footage.captures import Capture, open_capture
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.footage.sequence import natural_key
-from vntoolkit.io.maps_and_meshes.label_images import read_mask
+from vntoolkit.io.maps_and_meshes.masks import read_mask
 from vntoolkit.io.maps_and_meshes.stored_normals import (
     SUFFIXES,
     StoredNormals,
@@ -31,6 +31,14 @@ from vntoolkit.io.maps_and_meshes.stored_normals import (
 from vntoolkit.io.results import manifest as manifests
 from vntoolkit.io.results.folder import begin_run, write_lock
 from vntoolkit.io.results.frame_log import FrameEntry, FrameLog
+from vntoolkit.io.results.manifest import ReconstructionFolder
+from vntoolkit.io.results.reconstruction import (
+    RECONSTRUCTION,
+    entry_of_files,
+    hashed,
+    library_versions,
+    write_manifest,
+)
 from vntoolkit.io.rigs import entry_from_rig, read_rig
 from vntoolkit.meshing.surface import mesh_from_depth
 from vntoolkit.options.depth import IntegrationOptions, MeshOptions
@@ -39,7 +47,7 @@ from vntoolkit.options.reconstruction import Product
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline.options import option_values
-from vntoolkit.pipeline.outputs import FrameResult, ReconstructionFolder
+from vntoolkit.pipeline.outputs import FrameResult, write_frame
 
 logger = logging.getLogger(__name__)
 _MOST_BACKWARD = 0.25  # of the normals: more is no noise at the outline, but other axes
@@ -162,9 +170,9 @@ def integrate_normals(
             if integrator is None:
                 integrator = _begun(job, source, stored, mask_file)
                 manifest = _manifest(job, source, integrator.rig, mask_file)
-                begin_run(root, manifests.RECONSTRUCTION, manifest, overwrite=overwrite)
+                begin_run(root, RECONSTRUCTION, manifest, overwrite=overwrite)
             result = integrator.frame(number, stored)
-            job.folder.write(result)
+            write_frame(job.folder, result)
             entry = FrameEntry(
                 number=number,
                 seconds=time.perf_counter() - started,
@@ -173,7 +181,7 @@ def integrate_normals(
             log.append(entry)
             on_frame(entry)
         log.close()
-        manifests.write_manifest(root, manifest.model_copy(update={"finished": manifests.now_utc()}))
+        write_manifest(root, manifest.model_copy(update={"finished": manifests.now_utc()}))
     return root
 
 
@@ -284,17 +292,17 @@ def _manifest(
     return manifests.Manifest(
         input=manifests.InputEntry(
             source=job.source,
-            files=manifests.hashed(source.files),
+            files=hashed(source.files),
             width=rig.camera.width,
             height=rig.camera.height,
             frame_count=source.count,
             frame_rate_hz=source.frame_rate_hz,
         ),
-        extra_files={} if mask_file is None else {"mask": manifests.entry_of_files(mask_file, (mask_file,))},
+        extra_files={} if mask_file is None else {"mask": entry_of_files(mask_file, (mask_file,))},
         rig=entry_from_rig(rig),
         options=options | {"distance_m": job.distance_m},
         frames=job.frames.to_text(),
         outputs=written,
-        versions=manifests.library_versions(),
+        versions=library_versions(),
         started=manifests.now_utc(),
     )

@@ -13,29 +13,27 @@ from vntoolkit.arrays import ByteArray, VisibilityLabels
 from vntoolkit.errors import BadCapture, BadInput, VntError
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
-from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.io.footage.frame_range import FrameRange
-from vntoolkit.io.maps_and_meshes.label_images import read_labels, read_materials
 from vntoolkit.io.maps_and_meshes.maps import read_depth_map, read_normal_map
-from vntoolkit.io.maps_and_meshes.meshes import read_mesh
-from vntoolkit.io.results.folder import numbers_on_disk
 from vntoolkit.io.results.frame_log import FrameEntry, FrameLog
 from vntoolkit.io.results.manifest import (
     FRAME_FILES,
     FindingEntry,
     Manifest,
+    ReconstructionFolder,
     missing_files,
     numbers_of_ranges,
     read_manifest,
     result_digest,
     rig_of_result,
 )
+from vntoolkit.io.results.numbered_files import numbers_on_disk
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import Transfer, TransferCurve, encoded_from_linear
-from vntoolkit.pipeline.outputs import ReconstructionFolder
 
 if TYPE_CHECKING:
+    from vntoolkit.geometry.mesh import Mesh
     from vntoolkit.io.footage.captures import Capture
     from vntoolkit.pipeline.tracked_folder import Tracks
 
@@ -113,14 +111,20 @@ class OpenedResult:
 
     def labels(self, number: int) -> VisibilityLabels | None:
         """Read a frame's visibility labels."""
+        from vntoolkit.io.maps_and_meshes.label_images import read_labels
+
         return self._read_map("shadows", number, read_labels)
 
     def materials(self, number: int) -> ByteArray | None:
         """Read the number of the material of each pixel; None where the subject is of the rig's alone."""
+        from vntoolkit.io.maps_and_meshes.label_images import read_materials
+
         return self._read_map("materials", number, read_materials)
 
-    def mesh(self, number: int) -> Mesh | None:
+    def mesh(self, number: int) -> "Mesh | None":
         """Read a frame's own mesh, before registration."""
+        from vntoolkit.io.maps_and_meshes.meshes import read_mesh
+
         path = self.folder.file("mesh", number)
         return read_mesh(path) if path.exists() else None
 

@@ -11,11 +11,12 @@ from vntoolkit.diagnosis.outline import warn_of_flipped_axes
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.io.atomic import atomic_path
-from vntoolkit.io.footage.images import read_image, write_png
+from vntoolkit.io.footage.image_writing import write_png
+from vntoolkit.io.footage.images import read_image
 from vntoolkit.io.footage.sequence import find_capture_files
 from vntoolkit.io.light_files import KnownLights, read_lights
-from vntoolkit.io.maps_and_meshes.label_images import read_mask, write_mask
 from vntoolkit.io.maps_and_meshes.maps import write_normal_map
+from vntoolkit.io.maps_and_meshes.masks import read_mask, write_mask
 from vntoolkit.normals.photometric_stereo import StereoResult, solve_photometric_stereo
 from vntoolkit.photometry.transfer import Transfer, linear_from_encoded
 

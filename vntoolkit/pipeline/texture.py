@@ -19,7 +19,7 @@ from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.mesh import MeshSequence, face_normals, vertex_normals
 from vntoolkit.io.atomic import require_writable_folder, write_text
 from vntoolkit.io.footage.frame_range import sampled
-from vntoolkit.io.footage.images import write_png
+from vntoolkit.io.footage.image_writing import write_png
 from vntoolkit.io.maps_and_meshes.texture import SurfaceTexture
 from vntoolkit.native import njit
 from vntoolkit.photometry.frame import count_lit

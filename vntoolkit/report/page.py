@@ -16,7 +16,7 @@ from vntoolkit.arrays import ByteArray
 from vntoolkit.errors import BadInput
 from vntoolkit.io.atomic import write_text
 from vntoolkit.io.files import read_bytes
-from vntoolkit.io.footage.images import encoded_image
+from vntoolkit.io.footage.image_writing import encoded_image
 from vntoolkit.io.results.manifest import now_utc
 from vntoolkit.report.pictures import report_style
 

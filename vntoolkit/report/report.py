@@ -12,12 +12,11 @@ from vntoolkit.arrays import FloatArray
 from vntoolkit.errors import VntError
 from vntoolkit.geometry.camera import Camera, CameraModel
 from vntoolkit.io.footage.frame_range import sampled
-from vntoolkit.io.footage.images import read_image, resized_image
-from vntoolkit.io.maps_and_meshes.label_images import LABEL_LEGEND
-from vntoolkit.io.maps_and_meshes.ply import read_ply_counts
+from vntoolkit.io.footage.image_writing import resized_image
 from vntoolkit.io.results.frame_log import FrameEntry
 from vntoolkit.io.results.manifest import InputEntry
 from vntoolkit.options.pages import ReportOptions
+from vntoolkit.photometry.frame import LABEL_LEGEND
 from vntoolkit.pipeline.opened_result import OpenedResult, open_result
 from vntoolkit.report import page, pictures
 from vntoolkit.shipped import guide_section
@@ -193,6 +192,8 @@ def mesh_counts(result: OpenedResult) -> dict[int, tuple[int, int]]:
     for number in result.numbers:
         path = result.folder.file("mesh", number)
         if path.exists():
+            from vntoolkit.io.maps_and_meshes.ply import read_ply_counts
+
             sizes = read_ply_counts(path)
             counts[number] = (sizes.get("vertex", 0), sizes.get("face", 0))
     return counts
@@ -303,6 +304,8 @@ def track_section(result: OpenedResult, track: Tracks) -> page.PageSection:
         figures.append(page.figure_from_plot(axes.figure, caption, wide=True))
     sheet = result.folder.root / "track" / "checkerboard.png"
     if sheet.exists():
+        from vntoolkit.io.footage.images import read_image
+
         pixels = resized_image(np.asarray(read_image(sheet), dtype=np.uint8), _SHEET_PX)
         caption = "A checkerboard painted on the template and carried along: it should look printed on."
         figures.append(page.figure_from_pixels(pixels, caption, wide=True))

@@ -13,7 +13,7 @@ from tests.pipeline.conftest import dome_light, dome_normals, to_normals
 from vntoolkit.__main__ import main
 from vntoolkit.errors import BadCapture
 from vntoolkit.io.footage.captures import CaptureOptions, open_capture
-from vntoolkit.io.footage.images import write_png
+from vntoolkit.io.footage.image_writing import write_png
 from vntoolkit.io.footage.mosaics import rgb_from_mosaic
 from vntoolkit.options.footage import Bayer, Demosaic, SensorOptions
 
