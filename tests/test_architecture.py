@@ -71,9 +71,9 @@ DOORS = {
 
 # Room -> most lines of all its files; "(root)" holds the files beside the rooms.
 LINES = {
-    "(root)": 1950,
+    "(root)": 1970,
     "calibration": 4720,
-    "cli": 3280,
+    "cli": 3290,
     "diagnosis": 4150,
     "evaluation": 1140,
     "geometry": 1800,
@@ -86,7 +86,7 @@ LINES = {
     "options": 1670,
     "photometry": 1050,
     "pipeline": 7620,
-    "report": 3130,
+    "report": 3140,
     "shadows": 3080,
     "simulation": 3570,
     "skinning": 2130,
