@@ -7,12 +7,11 @@ from pathlib import Path
 
 from vntoolkit.cli.output import PAGE, print_next, progress_bar, require_output, say
 from vntoolkit.cli.verb import command, verb
-from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.options.base import File, OptionalFile, named
 from vntoolkit.options.footage import ReadingLimits
 from vntoolkit.options.pages import ScenePageOptions, ViewerOptions
 from vntoolkit.options.shared import FrameOptions, MovedFootageOptions
-from vntoolkit.pipeline.opened_result import OpenedResult, open_result
+from vntoolkit.pipeline.opened_result import OpenedResult, read_result
 from vntoolkit.report.result_scene import ResultViewer, counted, write_scene
 
 
@@ -28,8 +27,7 @@ class ViewArguments(FrameOptions, MovedFootageOptions, ViewerOptions, ScenePageO
 
 def _opened(asked: ViewArguments) -> OpenedResult:
     require_output(asked.html, PAGE)
-    frames = FrameRange.from_text(asked.frames or "::")
-    return open_result(Path(asked.folder), frames=frames, footage=asked.footage)
+    return read_result(asked.folder, frames=asked.frames, footage=asked.footage)
 
 
 def _written(asked: ViewArguments, result: OpenedResult, html: Path) -> int:

@@ -12,8 +12,7 @@ from vntoolkit.options.base import Named, Options, named
 class Integrator(Enum):
     """How slopes become depth.
 
-    DISCONTINUITY: inside any mask, weighted; depth may jump where the errors of the normals do not explain
-    the residuals of least squares. The default.
+    DISCONTINUITY: as POISSON; depth may jump where the normals' errors do not explain its residuals.
     POISSON: least squares inside any mask, weighted by confidence.
     COSINE: least squares by the discrete cosine transform; full rectangle; the fastest.
     FOURIER: Frankot and Chellappa's projection on a mirrored image; full rectangle.
@@ -40,9 +39,8 @@ class IntegrationOptions(Options):
     """Options of `DepthIntegrator`."""
 
     integrator: Named[Integrator, IntegratorName] = named(Integrator.DISCONTINUITY)
-    """How slopes become depth: discontinuity is least squares, and lets depth jump where its residuals are
-    larger than the errors of the normals explain; poisson is least squares inside any mask; cosine and
-    fourier are least squares over a full rectangle."""
+    """How slopes become depth: discontinuity (least squares; depth jumps where the errors of the normals do
+    not explain a residual), poisson (least squares), or cosine or fourier over a full rectangle."""
     steepest_slope_deg: float = 89.0
     """Steepest slope: the largest angle in degrees between a normal and the direction to the camera. A normal
     beyond it is held at it, so that grazing normals do not tear the depth."""

@@ -17,7 +17,7 @@ from vntoolkit.io.results.frame_log import FrameEntry
 from vntoolkit.io.results.manifest import InputEntry
 from vntoolkit.options.pages import ReportOptions
 from vntoolkit.photometry.frame import LABEL_LEGEND
-from vntoolkit.pipeline.opened_result import OpenedResult, open_result
+from vntoolkit.pipeline.opened_result import OpenedResult, read_result
 from vntoolkit.report import page, pictures
 from vntoolkit.shipped import guide_section
 
@@ -43,7 +43,7 @@ def write_report(
     """
     options = options or ReportOptions()
     out = folder / "report.html" if out is None else out
-    result = open_result(folder, footage=options.footage)
+    result = read_result(folder, footage=options.footage)
     middle = result.numbers[len(result.numbers) // 2]
     sections = [
         warnings_section(result),
