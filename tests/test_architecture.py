@@ -87,7 +87,7 @@ LINES = {
     "photometry": 1040,
     "pipeline": 7640,
     "report": 3120,
-    "shadows": 3080,
+    "shadows": 2180,
     "simulation": 3570,
     "skinning": 2130,
     "tactile": 1400,
