@@ -96,12 +96,12 @@ LINES = {
 
 # Verb -> most modules of the package, and most lines of them, that are loaded before its function runs.
 CLOSURES = {
-    "reconstruct": (74, 10_950),
-    "track": (90, 12_700),
+    "reconstruct": (74, 10_900),
+    "track": (90, 12_650),
     "export": (51, 6_900),
     "view": (55, 7_500),
     "report": (49, 6_700),
-    "integrate": (84, 12_850),
+    "integrate": (86, 12_960),
     "dress": (89, 14_650),
     "simulate": (78, 11_300),
     "doctor": (28, 3_650),
