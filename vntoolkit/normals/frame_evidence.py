@@ -51,6 +51,7 @@ _LEAST_LIGHT, _GRID_PIXELS = 0.3, 4000  # of the length that a fiftieth exceeds,
 _SAMPLES = 1000
 _MOST_PER_KNOWN = 20  # places of the grid that are looked at for a sample
 _ROUNDS = 4
+_WITHIN = 2.25  # spreads: a grazing tail pulls no more, and normal errors are used to five sixths
 _GRID = 2.0**-16  # of log lengths that are fitted: finer than any bound, far coarser than their rounding
 _ELLIPSOID_SPREAD = 0.05  # prior standard deviation of E's entries …
 _FALLOFF_SPREAD = 0.1  # … and of the slow change of brightness over the image
@@ -186,7 +187,7 @@ def fit_ellipsoid(samples: FloatArray, shape: tuple[int, int]) -> FloatArray:
         best = np.linalg.solve(information, weighted @ logs)
         left = np.abs(logs - best @ design)
         spread = 1.48 * np.median(left) + 1e-3
-        worth = 1.0 / (1.0 + (left / (2 * spread)) ** 2)
+        worth = 1.0 / (1.0 + (left / (_WITHIN * spread)) ** 2) ** 2  # Geman and McClure's
     best = _rounded(best)  # sums in another order differ in the last bits
     e00, e11, e01, e02, e12 = best[1:6]
     found[:7] = np.exp(-best[0]), e00, e01, e02, e11, e12, -e00 - e11
