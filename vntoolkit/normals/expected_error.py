@@ -24,62 +24,33 @@ from typing import Any
 
 import numpy as np
 from numba import prange
+from scipy import ndimage
 
-from vntoolkit.arrays import Array, ByteArray, Float32Array, Mask, VisibilityLabels
+from vntoolkit.arrays import ByteArray, Float32Array, FloatArray, Mask, VisibilityLabels
 from vntoolkit.checks import require_shape
 from vntoolkit.geometry.camera import Camera
-from vntoolkit.geometry.maps import HALF_WEIGHT_DEG, NormalMap
+from vntoolkit.geometry.maps import HALF_WEIGHT_DEG, NOISE_CELL_PX, NormalMap
 from vntoolkit.native import njit
-from vntoolkit.normals.frame_evidence import (
-    LEAST_FACING,
-    LONGEST,
-    SHORTEST,
-    Coefficients,
-    FrameLight,
-    coefficients_from_rig,
-    evidence_of_frame,
-    evidence_row,
-    slow_changes_at,
-)
-from vntoolkit.normals.inversion import (
-    coefficients_from_response,
-    decoding_of,
-    read_row,
-    require_encoded,
-    require_mask_or_all,
-    rows_of,
-)
-from vntoolkit.options.normals import InversionOptions
+from vntoolkit.normals.frame_evidence import LEAST_FACING, LONGEST, SHORTEST, at_rows, evidence_of_frame
 from vntoolkit.photometry.frame import ALL_LIT, LinearFrame
-from vntoolkit.photometry.levelling import FLAGS, leveller_of, map_row, span_of
-from vntoolkit.photometry.response import LightResponse
-from vntoolkit.photometry.transfer import Transfer
+from vntoolkit.photometry.levelling import FLAGS, span_of
+from vntoolkit.photometry.response import LightResponse, scaled_normals_from_rgb
 
 # Nine of ten angles of a two-dimensional normal distribution lie within √(2 ln 10) standard deviations.
 NINE_OF_TEN = 2.146
-OF_ANGLE = NINE_OF_TEN / math.sqrt(2.0)  # … and within 1.5 times the root of their mean square
-# Where all nine entries of M⁻¹ΔM have variance 1, the rotation in it has 1/2 about every axis.
-_OF_ROTATION = NINE_OF_TEN / math.sqrt(2.0)
+# … and within 1.5 times the root of their mean square. So of the rotation in M⁻¹ΔM, too: where all nine
+# entries have variance 1, it has 1/2 about every axis.
+OF_ANGLE = NINE_OF_TEN / math.sqrt(2.0)
 # The bounds of nine of ten pixels over each measured error, fitted on simulated scenes.
 _OF_ELLIPSOID = 2.5
 _OF_RESIDUAL = 1.1  # of a median
-_OF_LENGTH = 2.75  # radians over log length
-_OF_LENGTHS = _OF_LENGTH / 2.0  # the same, over the root of the mean square in a cell
+_OF_LENGTH = 2.75  # radians over log length; half of it over the root of the mean square in a cell
 _OF_TWO_LIGHTS = 1.2  # radians over the distances to the normals that two lights leave
 _ALBEDO_SPREAD = np.float32(0.03)  # relative standard deviation of lit pixels' albedo about the surroundings'
 # A sphere shows nine tenths of its image within this angle of the axis: what a guess without data is worth.
 _LARGEST_DEG = np.float32(71.6)
 _LEFT_OUT_PX = 16  # in a row, over which the noise that a surface leaves out is averaged, …
 _KEPT = np.float32(1 / 8)  # … which is not all of it
-
-# The same, as the loops need it: squared, in degrees.
-_PER_NOISE = np.float32(np.degrees(NINE_OF_TEN) ** 2)
-_PER_TURN = np.float32(np.degrees(_OF_ELLIPSOID) ** 2)
-_PER_NEARNESS = np.float32(np.degrees(OF_ANGLE) ** 2)
-_PER_DEPARTURE = np.float32(np.degrees(_OF_LENGTH) ** 2)
-_PER_DEPARTURES = np.float32(np.degrees(_OF_LENGTHS) ** 2)
-_PER_HALF_WEIGHT = np.float32(1.0 / HALF_WEIGHT_DEG)
-_PER_DISTANCE = np.float32(np.degrees(_OF_TWO_LIGHTS) ** 2)
 
 
 def with_expected_error(
@@ -107,26 +78,34 @@ def with_expected_error(
     require_shape(frame.rgb, (*shape, 3), "frame of the normals")
     if labels is not None:
         require_shape(labels, shape, "visibility labels")
-        labels = np.ascontiguousarray(labels)
-    clipped = np.ascontiguousarray(frame.clipped)
-    light = FrameLight(np.ascontiguousarray(frame.rgb), None, clipped, np.float32(0), None)
-    mask = np.ascontiguousarray(normal_map.mask)
-    c = coefficients_from_rig(response, camera)
-    noise_deg, noise, constants = _judged(light, mask, labels, c, residual_deg, blur_px, residual_of_pixels)
-    error, weight = np.empty(shape, np.float32), np.empty(shape, np.float32)
-    found = rows_of(np.ascontiguousarray(normal_map.normals_in_camera, np.float32))
+    mask, central = normal_map.mask, response.central
+    noise, seen, evidence, ellipsoid = evidence_of_frame(frame, mask, labels, central, camera, blur_px)
+    residual = np.radians(_OF_RESIDUAL * max(residual_deg, 0.0)) ** 2
+    if residual_of_pixels and seen.any():
+        residual = max(residual - NINE_OF_TEN**2 * float(np.median(noise[seen > 0])), 0.0)
+    fixed = residual + (OF_ANGLE * ellipsoid[32]) ** 2
+    unlit, left_out = np.zeros((2, *shape), np.float32)
+    if labels is not None:
+        unlit = _unlit(frame, normal_map, labels, central, ellipsoid[0])
+        left_out = _left_out(frame, normal_map, mask & (labels == ALL_LIT), central, evidence[0])
+    spread = central.inverse @ central.inverse.T  # of equal noise in all channels
+    along = 2.0 * spread[2, 2] / max(float(np.trace(spread) - spread[2, 2]), 1e-12)
+    constants = np.concatenate([central.inverse.ravel(), central.ambient, (fixed, along), ellipsoid])
+    error, weight = np.zeros((2, *shape), np.float32)
     _error_kernel(
-        rows_of(light.image), found, mask, labels, _pairs_of_lights(response), noise, constants, error, weight
-    )
+        np.ascontiguousarray(frame.rgb).reshape(shape[0], -1), np.ascontiguousarray(mask), evidence, unlit,
+        left_out, constants.astype(np.float32), _slow_changes(shape, ellipsoid), error, weight,
+    )  # fmt: skip
+    noise_deg = np.degrees(NINE_OF_TEN * np.sqrt(noise))
     return replace(normal_map, error_deg=error, noise_deg=noise_deg, weight=weight)
 
 
 def with_doubt(normal_map: NormalMap, doubt_deg: Float32Array) -> NormalMap:
     """Return the map with a further, independent error (h, w) in degrees, and the weight from both."""
     assert normal_map.error_deg is not None
-    error, weight = np.empty((2, *normal_map.mask.shape), np.float32)
-    _add_doubt(normal_map.error_deg, doubt_deg, normal_map.mask, error, weight)
-    return replace(normal_map, error_deg=error, weight=weight)
+    error = np.minimum(np.hypot(normal_map.error_deg, doubt_deg), _LARGEST_DEG) * normal_map.mask
+    weight = normal_map.mask / (1.0 + (error / HALF_WEIGHT_DEG) ** 2)
+    return replace(normal_map, error_deg=error, weight=np.asarray(weight, np.float32))
 
 
 def doubts_of_materials(
@@ -136,34 +115,8 @@ def doubts_of_materials(
 
     numbers: (h, w), of the materials. turned_deg: (h, w), None for 0.
     """
-    doubts = np.empty(numbers.shape, np.float32)
-    _fill_doubts(
-        numbers, bounds_deg, np.zeros((1, 1), np.float32) if turned_deg is None else turned_deg, doubts
-    )
-    return doubts
-
-
-@njit(cache=True, parallel=True, error_model="numpy")
-def _add_doubt(told: Any, doubt: Any, mask: Any, error: Any, weight: Any) -> None:
-    for v in prange(len(mask)):
-        for u in range(mask.shape[1]):
-            e = min(np.sqrt(told[v, u] * told[v, u] + doubt[v, u] * doubt[v, u]), _LARGEST_DEG)
-            half = e * _PER_HALF_WEIGHT
-            error[v, u] = e if mask[v, u] else np.float32(0.0)
-            weight[v, u] = (
-                np.float32(1.0) / (np.float32(1.0) + half * half) if mask[v, u] else np.float32(0.0)
-            )
-
-
-@njit(cache=True, parallel=True, error_model="numpy")
-def _fill_doubts(numbers: Any, bounds: Any, turned: Any, out: Any) -> None:
-    """turned: (1, 1) where it is 0 everywhere."""
-    is_turned = turned.size > 1
-    for v in prange(len(numbers)):
-        for u in range(numbers.shape[1]):
-            bound = bounds[numbers[v, u]]
-            rest = turned[v, u] if is_turned else np.float32(0.0)
-            out[v, u] = np.sqrt(bound * bound + rest * rest)
+    bounds = bounds_deg[numbers]
+    return bounds if turned_deg is None else np.hypot(bounds, turned_deg)
 
 
 def _pairs_of_lights(response: LightResponse) -> Float32Array:
@@ -177,81 +130,84 @@ def _pairs_of_lights(response: LightResponse) -> Float32Array:
     return pairs.astype(np.float32)
 
 
-def normals_and_errors_from_encoded(
-    encoded: Array,
-    response: LightResponse,
-    transfer: Transfer,
-    mask: Mask | None = None,
-    *,
-    camera: Camera | None = None,
-    options: InversionOptions | None = None,
-    bits: int | None = None,
-    residual_deg: float = 0.0,
-    blur_px: float = 0.0,
-    residual_of_pixels: bool = False,
-) -> tuple[NormalMap, float]:
-    """Decode, invert and tell the error in one pass; return the map and the share of clipped pixels.
+def _unlit(
+    frame: LinearFrame, found: NormalMap, labels: VisibilityLabels, response: LightResponse, scale: float
+) -> Float32Array:
+    """(h, w) squared bounds, radians², of pixels that not all lights reach, 0 of the others.
 
-    The normals of `normals_from_encoded` with the errors of `with_expected_error`.
+    scale: 1 over the albedo.
     """
-    shape = require_encoded(encoded)
-    inside, decoding = require_mask_or_all(mask, shape), decoding_of(encoded, transfer, bits)
-    maps = None if response.variation is None else leveller_of(response, shape).maps
-    light = FrameLight(np.ascontiguousarray(encoded), decoding.table, None, decoding.white, maps)
-    options = options or InversionOptions()
-    c = coefficients_from_rig(response, camera, options.relative_albedo, options.darkest)
-    noise_deg, noise, constants = _judged(light, inside, None, c, residual_deg, blur_px, residual_of_pixels)
-    inversion = coefficients_from_response(response, options)
-    limits = np.array([inversion.darkest, inversion.clipped_factor, decoding.white], np.float32)
-    normals, valid = np.empty((*shape, 3), np.float32), np.empty(shape, np.bool_)
-    error, weight = np.empty(shape, np.float32), np.empty(shape, np.float32)
-    clipped = np.zeros(shape[0], np.int64)
-    out = (rows_of(normals), valid, error, weight, clipped)
-    image = rows_of(light.image)
-    _normals_and_errors_kernel(image, decoding.table, maps, inside, noise, constants, limits, out)
-    found = NormalMap(
-        normals_in_camera=normals,
-        mask=valid,
-        weight=weight,
-        error_deg=error,
-        noise_deg=noise_deg,
-    )
-    return found, float(clipped.sum()) / max(1, shape[0] * shape[1])
+    pairs = _pairs_of_lights(response)
+    largest = np.radians(_LARGEST_DEG) ** 2
+    bound = np.where(labels == ALL_LIT, np.float32(0), largest)
+    two: Mask = found.mask & np.asarray(pairs.any(axis=1))[labels]
+    across, missing = np.hsplit(pairs[labels[two]], 2)
+    normals = found.normals_in_camera[two]
+    # M⁻¹(r − a) says in the plane of the two lights what the normal is, and nothing across it
+    seen = np.float32(scale) * scaled_normals_from_rgb(frame.rgb[two], response)
+    seen -= _dot(seen, across)[:, None] * across
+    off, plane = _dot(normals, across), _dot(seen, seen)
+    moved = plane + plane**2 / (np.abs(1 - plane) + 2 * _ALBEDO_SPREAD * plane + SHORTEST)
+    height = np.where(off > 0, 1, -1) * np.sqrt(np.maximum(1 - plane, 0))
+    seen += height[:, None] * across
+    seen /= np.maximum(np.linalg.norm(seen, axis=1, keepdims=True), SHORTEST)
+    squared = np.square(seen - normals).sum(axis=1)
+    behind = (_dot(seen, missing) < 0) & (_dot(normals, missing) < 0)
+    other_faces = normals[:, 2] - 2 * off * across[:, 2] < 0  # the camera
+    squared += np.where(~behind & other_faces, 4 * off**2, 0)
+    known = squared < 8  # no NaN
+    square = _OF_TWO_LIGHTS**2 * squared + (NINE_OF_TEN * _ALBEDO_SPREAD) ** 2 * moved
+    bound[two] = np.where(known, np.maximum(square, SHORTEST), largest)
+    return bound
 
 
-def _judged(
-    light: FrameLight, mask: Mask, labels: VisibilityLabels | None, c: Coefficients, residual_deg: float,
-    blur_px: float, of_pixels: bool,
-) -> tuple[Any, Any, Any]:  # fmt: skip
-    """Return the noise by cells, in degrees as the bounds are, what `evidence_row` reads, and constants.
+def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
+    return np.asarray(np.sum(a * b, axis=-1))
 
-    Constants, (47,): M⁻¹, the ambient light, the squared bound that all pixels share, noise along a normal
-    over that across it, and the ellipsoid.
+
+def _left_out(
+    frame: LinearFrame, found: NormalMap, lit: Mask, response: LightResponse, noise: Float32Array
+) -> Float32Array:
+    """(h, w) variance, radians², of the colours' own normals that those found do not have; 0 beside `lit`.
+
+    noise: (rows of cells, w), of the colours' own.
     """
-    noise, seen, rows, ellipsoid = evidence_of_frame(light, mask, labels, c, blur_px)
-    residual = (_OF_RESIDUAL * max(residual_deg, 0.0)) ** 2
-    if of_pixels and seen.any():
-        residual = max(residual - float(_PER_NOISE * np.median(noise[seen > 0])), 0.0)
-    fixed = residual + (np.degrees(_OF_ROTATION) * ellipsoid[32]) ** 2
-    constants = np.concatenate([c.inverse.ravel(), c.ambient, (fixed, c.along), ellipsoid])
-    return np.sqrt(_PER_NOISE * noise), rows, constants.astype(np.float32)
+    own, normals = scaled_normals_from_rgb(frame.rgb, response), found.normals_in_camera
+    length = np.maximum(np.sqrt(np.einsum("vui,vui->vu", own, own)), SHORTEST)
+    usual = at_rows(noise, len(lit))
+    square = 2 - 2 * np.einsum("vui,vui->vu", own, normals) / length  # of two unit vectors' difference
+    square = np.minimum(square, 4 * usual)  # what is farther off is no noise
+    mean = ndimage.uniform_filter1d(lit * square, _LEFT_OUT_PX, axis=1, mode="constant")
+    return np.where(lit, np.minimum(0.5 * mean, (1 - _KEPT) * usual), np.float32(0))  # in two directions
 
 
-# Compiled loops. A table of None stands for linear light: numba drops the branches for another. Rows are
-# flat slices, whose loops begin at 0: only such loops are done eight pixels at a time.
+def _slow_changes(shape: tuple[int, int], ellipsoid: FloatArray) -> Float32Array:
+    """(h, 11): M⁻¹ΔM of near lamps at the first pixel of a row, f of `fit_ellipsoid`, its slope along u."""
+    right, down = -0.5 * (shape[1] - 1), np.arange(shape[0])[:, None] - 0.5 * (shape[0] - 1)
+    near = right * ellipsoid[7:16] + down * ellipsoid[16:25]
+    f = ellipsoid[25:31]
+    falloff = f[0] + f[1] * right + f[2] * down + f[3] * right**2 + f[4] * down**2 + f[5] * right * down
+    return np.hstack([near, falloff, f[1] + 2.0 * f[3] * right + f[5] * down]).astype(np.float32)
+
+
+# Compiled loops. Rows are flat slices, whose loops begin at 0: such loops are done eight pixels at a time.
 
 
 @njit(cache=True, fastmath=FLAGS, error_model="numpy")
 def _bound_row(
-    r: Any, g: Any, b: Any, found: Any, unlit: Any, rows: Any, inside: Any, k: Any, m: Any, length: Any,
-    bound: Any, weight: Any,
+    line: Any, unlit: Any, left_out: Any, rows: Any, inside: Any, k: Any, m: Any, bound: Any, weight: Any
 ) -> None:  # fmt: skip
-    """Turn a row of colours into unit normals, in place, and fill their length, their bound and its weight.
+    """Fill a row of bounds and their weights from colours (3 w,).
 
-    found: the normals to judge, or None for these. unlit: squared bound of pixels that not all lights reach,
-    else 0. m: slow changes at the first pixel.
+    unlit: squared bound of pixels that not all lights reach, else 0. left_out: variance that their normals do
+    not have. rows: noise, lost relief, departures of the cell. k: constants. m: slow changes at the first
+    pixel.
     """
     noise, lost, around_cell = rows[0], rows[1], rows[2]
+    of_noise, of_angle = np.float32(NINE_OF_TEN**2), np.float32(OF_ANGLE**2)
+    of_turn, of_length = np.float32(_OF_ELLIPSOID**2), np.float32(_OF_LENGTH**2)
+    of_lengths, degrees = np.float32(_OF_LENGTH**2 / 4), np.float32(180.0 / np.pi)
+    half_weight = np.float32(1.0 / HALF_WEIGHT_DEG)
     zero, half, one, eight = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(8.0)
     i00, i01, i02, i10, i11, i12, i20, i21, i22 = k[0], k[1], k[2], k[3], k[4], k[5], k[6], k[7], k[8]
     a0, a1, a2 = k[9], k[10], k[11]
@@ -260,10 +216,11 @@ def _bound_row(
     m0, m1, m2, m3, m4, m5, m6, m7, m8 = m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8]
     f0, f1, f2, told = m[9], m[10], k[42], k[45]
     s0, s1, s2, s3, s4, s5, s6, s7, s8 = k[21], k[22], k[23], k[24], k[25], k[26], k[27], k[28], k[29]
-    count = len(r)
+    count = len(bound)
     departures, rest = np.empty(count, np.float32), np.empty(count, np.float32)
+    facing_square, length = np.empty(count, np.float32), np.empty(count, np.float32)
     for u in range(count):  # without a branch: eight pixels at a time
-        red, green, blue = r[u] - a0, g[u] - a1, b[u] - a2
+        red, green, blue = line[3 * u] - a0, line[3 * u + 1] - a1, line[3 * u + 2] - a2
         x = i00 * red + i01 * green + i02 * blue
         y = i10 * red + i11 * green + i12 * blue
         z = i20 * red + i21 * green + i22 * blue
@@ -287,158 +244,51 @@ def _bound_row(
         departure = abs(measured * measured - foretold * foretold) / (measured * foretold) * half
         departure = min(departure, one)  # sinh of the log length
         departures[u] = departure * departure if seen else zero
-        rest[u] = fixed + _PER_TURN * told * turn + _PER_NEARNESS * near + _PER_NOISE * (noise[u] + lost[u])
-        r[u], g[u], b[u], length[u] = x, y, z, size
-    if found is not None:
-        _leave_out(r, g, b, found, unlit, noise, inside, rest)
+        rest[u] = (
+            fixed + of_turn * told * turn + of_angle * near + of_noise * (noise[u] - left_out[u] + lost[u])
+        )
+        facing_square[u], length[u] = z * z, size
     for u in range(count):
         # Noise across the axis has one variance, along it `along_noise` times that. A normal that leans away
         # by t is turned by (1 + cos² t + along sin² t) / 2 of it, its length by sin² t + along cos² t, and
         # rarely by more than two standard deviations.
-        facing = b[u] * b[u]
+        facing = facing_square[u]
         leaning = one - facing
         of_turn = eight * noise[u] / (one + facing + along_noise * leaning)
         own = departures[u] - of_turn * (leaning + along_noise * facing)
-        own = max(_PER_DEPARTURE * own if unlit[u] == zero else zero, _PER_DEPARTURES * around_cell[u])
+        own = max(of_length * own if unlit[u] == zero else zero, of_lengths * around_cell[u])
         total = rest[u] + own + unlit[u]
-        angle = min(np.sqrt(total), _LARGEST_DEG) if length[u] > SHORTEST else _LARGEST_DEG
-        share = angle * _PER_HALF_WEIGHT
+        angle = min(degrees * np.sqrt(total), _LARGEST_DEG) if length[u] > SHORTEST else _LARGEST_DEG
+        share = angle * half_weight
         bound[u] = angle if inside[u] else zero
         weight[u] = one / (one + share * share) if inside[u] else zero
 
 
-@njit(cache=True, fastmath=FLAGS, error_model="numpy")
-def _leave_out(
-    r: Any, g: Any, b: Any, found: Any, unlit: Any, noise: Any, inside: Any, rest: Any
-) -> None:  # fmt: skip
-    """Take from a row of squared bounds the noise of the colours' normals that those found do not have."""
-    count, zero, four = len(r), np.float32(0.0), np.float32(4.0)
-    reach = _LEFT_OUT_PX // 2
-    apart = np.zeros(count + _LEFT_OUT_PX, np.float32)
-    x, y, z = np.empty(count, np.float32), np.empty(count, np.float32), np.empty(count, np.float32)
-    read_row(found, None, x, y, z)
-    for u in range(count):
-        square = (r[u] - x[u]) ** 2 + (g[u] - y[u]) ** 2 + (b[u] - z[u]) ** 2
-        # in two directions; what is farther off is no noise
-        square = min(square, four * noise[u])
-        apart[u + reach] = square if inside[u] & (unlit[u] == zero) else zero
-    step = 1
-    while step < _LEFT_OUT_PX:  # sums of 2, 4, 8, 16
-        ahead = apart[step:]
-        sums = np.empty(len(ahead), np.float32)
-        for u in range(len(sums)):
-            sums[u] = apart[u] + ahead[u]
-        apart, step = sums, 2 * step
-    share, kept = np.float32(0.5 / _LEFT_OUT_PX), np.float32(1.0) - _KEPT
-    for u in range(count):
-        left_out = min(share * apart[u], kept * noise[u])
-        rest[u] -= _PER_NOISE * left_out if unlit[u] == zero else zero
-
-
 @njit(cache=True, parallel=True, fastmath=FLAGS, error_model="numpy")
 def _error_kernel(
-    rgb: Any, normals: Any, mask: Mask, labels: Any, pairs: Any, noise: Any, constants: Any, error: Any,
+    rgb: Any, mask: Mask, evidence: Any, unlit: Any, left_out: Any, constants: Any, changes: Any, error: Any,
     weight: Any,
 ) -> None:  # fmt: skip
-    """Fill (h, w) with the bound in degrees and its weight; 0 outside the mask.
-
-    normals: (h, 3 w), found. pairs: of `_pairs_of_lights`.
-    """
+    """Fill (h, w) with the bound in degrees and its weight, zeros outside the mask; rgb: (h, 3 w)."""
+    cell, half, zero, two = np.float32(NOISE_CELL_PX), np.float32(0.5), np.float32(0.0), np.float32(2.0)
+    lowest = evidence.shape[1] - 1
     for v in prange(len(mask)):
-        error[v, :] = np.float32(0.0)
-        weight[v, :] = np.float32(0.0)
         first, last = span_of(mask[v])
         if first == last:
             continue
-        count = last - first
-        r, g, b = np.empty(count, np.float32), np.empty(count, np.float32), np.empty(count, np.float32)
-        length, unlit = np.empty(count, np.float32), np.zeros(count, np.float32)
-        row_noise = np.empty((3, count), np.float32)
-        evidence_row(noise, np.int64(v), first, row_noise)
-        read_row(rgb[v, 3 * first : 3 * last], None, r, g, b)
-        found = None if labels is None else normals[v, 3 * first : 3 * last]
-        if labels is not None:
-            _unlit_row(r, g, b, found, labels[v, first:last], pairs, constants, unlit)
+        y = max((np.float32(v) + half) / cell - half, zero)
+        up = min(int(y), lowest)
+        share, rows = y - np.float32(up), np.empty((3, last - first), np.float32)
+        for k in range(3):
+            above, below, to = evidence[k, up, first:], evidence[k, min(up + 1, lowest), first:], rows[k]
+            for u in range(len(to)):
+                to[u] = (np.float32(1.0) - share) * above[u] + share * below[u]
+        here, at = changes[v].copy(), np.float32(first)
+        for i in range(9):
+            here[i] += at * constants[21 + i]
+        here[9] += at * (here[10] + at * constants[42])
+        here[10] += two * at * constants[42]
         _bound_row(
-            r, g, b, found, unlit, row_noise, mask[v, first:last], constants,
-            slow_changes_at(mask.shape, constants, first, v), length, error[v, first:last],
-            weight[v, first:last],
+            rgb[v, 3 * first : 3 * last], unlit[v, first:last], left_out[v, first:last], rows,
+            mask[v, first:last], constants, here, error[v, first:last], weight[v, first:last],
         )  # fmt: skip
-
-
-@njit(cache=True, fastmath=FLAGS, error_model="numpy")
-def _unlit_row(
-    r: Any, g: Any, b: Any, normals: Any, label: Any, pairs: Any, k: Any, unlit: Any
-) -> None:  # fmt: skip
-    """Fill the squared bounds of a row of pixels that not all lights reach, 0 of the others."""
-    zero, one, two = np.float32(0.0), np.float32(1.0), np.float32(2.0)
-    for u in range(len(label)):
-        if label[u] == ALL_LIT:
-            unlit[u] = zero
-            continue
-        pair = pairs[label[u]]
-        a0, a1, a2, l0, l1, l2 = pair[0], pair[1], pair[2], pair[3], pair[4], pair[5]
-        if l0 * l0 + l1 * l1 + l2 * l2 == zero:
-            unlit[u] = _LARGEST_DEG * _LARGEST_DEG
-            continue
-        n0, n1, n2 = normals[3 * u], normals[3 * u + 1], normals[3 * u + 2]
-        red, green, blue, scale = r[u] - k[9], g[u] - k[10], b[u] - k[11], k[14]
-        # M⁻¹(r − a) says in the plane of the two lights what the normal is, and nothing across it
-        x = scale * (k[0] * red + k[1] * green + k[2] * blue)
-        y = scale * (k[3] * red + k[4] * green + k[5] * blue)
-        z = scale * (k[6] * red + k[7] * green + k[8] * blue)
-        across = x * a0 + y * a1 + z * a2
-        x, y, z = x - across * a0, y - across * a1, z - across * a2
-        off = n0 * a0 + n1 * a1 + n2 * a2
-        plane = x * x + y * y + z * z
-        moved = plane + plane * plane / (abs(one - plane) + two * _ALBEDO_SPREAD * plane + SHORTEST)
-        height = np.sqrt(max(one - plane, zero))
-        height = height if off > zero else -height
-        x, y, z = x + height * a0, y + height * a1, z + height * a2
-        size = max(np.sqrt(x * x + y * y + z * z), SHORTEST)
-        x, y, z = x / size, y / size, z / size
-        squared = (x - n0) * (x - n0) + (y - n1) * (y - n1) + (z - n2) * (z - n2)
-        behind = (x * l0 + y * l1 + z * l2 < zero) & (n0 * l0 + n1 * l1 + n2 * l2 < zero)
-        if not behind and n2 - (off + off) * a2 < zero:  # the other normal faces the camera
-            squared += np.float32(4.0) * off * off
-        known = squared < np.float32(8.0)  # no NaN
-        bound = _PER_DISTANCE * squared + _PER_NOISE * _ALBEDO_SPREAD * _ALBEDO_SPREAD * moved
-        unlit[u] = max(bound, SHORTEST) if known else _LARGEST_DEG * _LARGEST_DEG
-
-
-@njit(cache=True, parallel=True, fastmath=FLAGS, error_model="numpy")
-def _normals_and_errors_kernel(
-    encoded: Any, table: Any, maps: Any, mask: Mask, noise: Any, constants: Any, limits: Any, out: Any
-) -> None:
-    """Fill normals (h, w, 3), valid, the bound in degrees and its weight (h, w), and clipped pixels a row."""
-    height, width = mask.shape
-    normals, valid, error, weight, clipped = out  # numba drops stores through a tuple's field inside prange
-    darkest, clipped_factor, white, zero = limits[0], limits[1], limits[2], np.float32(0.0)
-    for v in prange(height):
-        r, g, b = np.empty(width, np.float32), np.empty(width, np.float32), np.empty(width, np.float32)
-        length, row_noise = np.empty(width, np.float32), np.empty((3, width), np.float32)
-        unlit, good = np.zeros(width, np.float32), np.empty(width, np.bool_)
-        evidence_row(noise, np.int64(v), 0, row_noise)
-        read_row(encoded[v], table, r, g, b)
-        count = 0
-        for u in range(width):
-            largest = max(r[u], g[u])
-            top = max(largest, b[u]) >= white
-            count += top
-            good[u] = mask[v, u] & ((not top) | (clipped_factor > zero))
-        clipped[v] = count
-        if maps is not None:
-            map_row(maps, np.int64(v), 0, r, g, b)
-        near = slow_changes_at(mask.shape, constants, 0, v)
-        _bound_row(r, g, b, None, unlit, row_noise, good, constants, near, length, error[v], weight[v])
-        to_error, to_weight, to_valid, to_normals = error[v], weight[v], valid[v], normals[v]
-        for u in range(width):
-            kept = good[u] & (length[u] > darkest) & (length[u] < LONGEST) & (b[u] < zero)
-            to_valid[u] = kept
-            to_error[u] = to_error[u] if kept else zero
-            to_weight[u] = to_weight[u] if kept else zero
-            r[u], g[u], b[u] = r[u] if kept else zero, g[u] if kept else zero, b[u] if kept else zero
-        for u in range(width):
-            to_normals[3 * u] = r[u]
-            to_normals[3 * u + 1] = g[u]
-            to_normals[3 * u + 2] = b[u]
