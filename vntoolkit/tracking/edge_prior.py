@@ -49,13 +49,11 @@ _LEAST_RELIABLE = 1e-4  # of a node that is not measured, in the fit of one body
 class Prior(NamedTuple):
     """steps: (edges, 2) from node to node. variance: (edges,) by direction, px².
 
-    torn: (edges,) the share of the variance that an occluding contour between the two adds. shared: (edges,
-    2) deviation of all steps together, by which of the two holds.
+    shared: (edges, 2) deviation of all steps together, by which of the two holds.
     """
 
     steps: npt.NDArray[np.float64]
     variance: npt.NDArray[np.float64]
-    torn: npt.NDArray[np.float64]
     shared: npt.NDArray[np.float64]
 
 
@@ -129,7 +127,6 @@ class EdgePrior:
         return Prior(
             steps=share[:, None] * by_lengths + (1.0 - share)[:, None] * by_body,
             variance=variance + slip,
-            torn=slip / (variance + slip),
             shared=np.sqrt(share * (1.0 - share))[:, None] * (by_lengths - by_body),
         )
 

@@ -43,9 +43,7 @@ _ITERATIONS = 3
 _CONVERGED = 0.1  # steps by the expected error, after which no other follows
 _LEAST_ERROR_PX = 0.3
 _MOST = 0.9  # share of the vertices for which that holds: the rest is lost, or creeps
-# Residual of edges at which they hold half as much. Where they err together it is shared by so many; at a
-# likely contour, which few of them cross, each gives way alone.
-_EDGES_ALIKE, _TORN_SIGMAS = NODES_BY_PASS, 3.0
+_EDGES_ALIKE = NODES_BY_PASS  # edges whose residuals are alike share what they tell
 _LEAST_SINGULAR = 0.2  # of a Jacobian: steps are not taken through a surface seen more nearly edge-on
 # Expected error over the root mean square of what is drawn: about nine in ten errors are then below it, as
 # measured on a sweater, a head and a sheet. Were nothing wrong but what is drawn, 1.5 would do.
@@ -151,11 +149,9 @@ class SurfaceFit:
                 measured = self._measured(positions, view, measured.registration.correlated)
             prior = self._prior_at(measured, view, depth_map)
             steps = prior.steps - self._prior.steps(positions)
-            alone = prior.torn + (1.0 - prior.torn) / _EDGES_ALIKE
-            variance = prior.variance + alone * np.sum(steps**2, axis=1) / _TORN_SIGMAS**2
             modes = modes_of_the_whole(prior.steps, self._prior.middles)
             solution = self._system.solve(
-                total(measured.factors), 1.0 / (_EDGES_ALIKE * variance), steps, *modes
+                total(measured.factors), 1.0 / (_EDGES_ALIKE * prior.variance), steps, *modes
             )
             moved = self._lattice.at_vertices(solution.displacement)
             positions = positions + moved
@@ -163,7 +159,7 @@ class SurfaceFit:
                 break
         residuals = solution.left + self.running.residuals
         square, known = self._errors.expected(
-            solution, measured.factors, np.sqrt(variance), residuals, prior.shared
+            solution, measured.factors, np.sqrt(prior.variance), residuals, prior.shared
         )
         observable = self._prior.observable(measured.known)
         hidden = self._mismatched(measured.registration, _TELLING)
