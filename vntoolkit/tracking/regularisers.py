@@ -9,7 +9,7 @@ from scipy.sparse.csgraph import connected_components
 
 from vntoolkit.arrays import FloatArray, Points
 from vntoolkit.geometry.mesh import Mesh, graph_laplacian
-from vntoolkit.native import import_open3d
+from vntoolkit.libraries import import_open3d
 from vntoolkit.tracking.lattice_system import factored
 from vntoolkit.tracking.template import TrackingTemplate
 
