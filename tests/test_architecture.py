@@ -98,7 +98,7 @@ LINES = {
 CLOSURES = {
     "reconstruct": (74, 10_950),
     "track": (90, 12_700),
-    "export": (51, 6_900),
+    "export": (51, 6_960),
     "view": (55, 7_500),
     "report": (49, 6_700),
     "integrate": (85, 12_950),
