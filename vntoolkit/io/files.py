@@ -92,7 +92,7 @@ def require_name(name: str, source: Path | str) -> str:
     source: what the name was taken from, for the message.
     """
     if name.strip(". ") == "" or set(name) & {"/", "\\", "\0"} or len(os.fsencode(name)) > _LONGEST_NAME:
-        raise BadInput(f"{source}: gives the name {name[:80]!r}, which no file can bear; rename it")
+        raise BadInput(f"{source}: gives the name {name[:80]!r}, which is not allowed for a file; rename it")
     return name
 
 

@@ -18,12 +18,11 @@ from vntoolkit.geometry.maps import LengthUnit
 from vntoolkit.geometry.mesh import Mesh, vertex_normals
 from vntoolkit.io import atomic
 from vntoolkit.io.conventions import graphics_from_camera
-from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.maps_and_meshes.maps import write_normal_map
 from vntoolkit.io.maps_and_meshes.texture import SurfaceTexture
 from vntoolkit.io.results.folder import FolderKind, begin_run, read_lock, write_lock
 from vntoolkit.options.export import INSPECTED, ExportedSurface, ExportFormat, ExportOptions, FileUnit
-from vntoolkit.pipeline.opened_result import OpenedResult, open_result
+from vntoolkit.pipeline.opened_result import OpenedResult, read_result
 from vntoolkit.pipeline.options import option_values
 from vntoolkit.pipeline.texture_files import texture_of_tracks, with_captured_colours
 
@@ -41,13 +40,13 @@ _HEADROOM = 1.25  # of a light's picture over the brightest that the rig's mater
 class ExportJob:
     """What to export. folder: of `reconstruct`. out: file or folder, None for folder/export/….
 
-    footage, background: for `diligent`, as for `open_result`.
+    footage, background: for `diligent`, as for `read_result`.
     """
 
     folder: Path
     options: ExportOptions
     out: Path | None = None
-    frames: FrameRange | None = None
+    frames: str | None = None
     footage: str = ""
     background: Path | None = None
 
@@ -79,7 +78,7 @@ def export(
     it stopped, and writes again what has changed since. Raises `BadInput`.
     """
     with read_lock(job.folder):
-        result = open_result(job.folder, frames=job.frames, footage=job.footage, background=job.background)
+        result = read_result(job.folder, frames=job.frames, footage=job.footage, background=job.background)
         track = _track_of(result, job.options)
         if job.options.to is ExportFormat.USD or (job.options.to is ExportFormat.GLB and track is not None):
             return _export_animation(job, result, track, on_start, on_frame)

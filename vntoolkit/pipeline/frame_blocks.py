@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -103,42 +103,41 @@ class FrameBlockProcessor:
 
         return smoothed_frames(capture, block, sameness)
 
+    # The steps of a frame, each in its own thread; frames come to each in order.
+
     def _with_light(self, frame: EncodedFrame) -> _FrameAtWork:
-        mattes = self._footage.mattes
-
-        def prepared(begun: _FrameAtWork) -> _FrameAtWork:
+        mattes, work = self._footage.mattes, _FrameAtWork(frame=frame)
+        with self._tried(work):
             matte = mattes.of(frame) if mattes.changes else None
-            return replace(begun, prepared=self._processor.prepared(frame, matte, self._carried))
+            work.prepared = self._processor.prepared(frame, matte, self._carried)
+        return work
 
-        return self._tried(prepared, _FrameAtWork(frame=frame))
+    def _with_normals(self, work: _FrameAtWork) -> _FrameAtWork:
+        if work.prepared is not None:
+            with self._tried(work):
+                work.result = self._processor.normals(work.prepared)
+            work.prepared = None
+        return work
 
-    def _with_normals(self, begun: _FrameAtWork) -> _FrameAtWork:
-        prepared = begun.prepared
-        if prepared is None:
-            return begun
-        return self._tried(
-            lambda to: replace(to, prepared=None, result=self._processor.normals(prepared)), begun
-        )
+    def _with_surface(self, work: _FrameAtWork) -> _FrameAtWork:
+        if work.result is not None:
+            with self._tried(work):
+                result = self._processor.with_depth(work.result, self._carried)
+                work.result = self._processor.with_mesh(result, work.frame)
+        return work
 
-    def _with_surface(self, begun: _FrameAtWork) -> _FrameAtWork:
-        result = begun.result
-        if result is None:
-            return begun
-        return self._tried(
-            lambda to: replace(to, result=self._processor.with_surface(result, to.frame, self._carried)),
-            begun,
-        )
-
-    def _tried(self, work: Callable[[_FrameAtWork], _FrameAtWork], before: _FrameAtWork) -> _FrameAtWork:
+    @contextlib.contextmanager
+    def _tried(self, work: _FrameAtWork) -> Iterator[None]:
+        """Count the seconds that a step takes, and let what it raises stop the run or leave the frame out."""
         started = time.perf_counter()
         try:
-            done = work(before)
+            yield
         except VntError as error:
             if self._options.on_error is OnError.STOP and not isinstance(error, NoSubject):
                 raise
-            nothing = isinstance(error, NoSubject)
-            done = replace(before, prepared=None, result=None, failure=str(error), shows_nothing=nothing)
-        return replace(done, seconds=before.seconds + time.perf_counter() - started)
+            work.result, work.failure = None, str(error)
+            work.shows_nothing = isinstance(error, NoSubject)
+        work.seconds += time.perf_counter() - started
 
     def _written(self, done: _FrameAtWork) -> FrameEntry:
         started = time.perf_counter()
@@ -153,7 +152,7 @@ class FrameBlockProcessor:
         return record_of(done.result, done.seconds + time.perf_counter() - started)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(kw_only=True, eq=False)
 class _FrameAtWork:
     """What a frame became so far, None for what failed; the seconds spent on it; and why it failed.
 

@@ -28,6 +28,7 @@ from vntoolkit.io.results.manifest import (
     rig_of_result,
 )
 from vntoolkit.io.results.numbered_files import numbers_on_disk
+from vntoolkit.options.base import File
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import Transfer, TransferCurve, encoded_from_linear
@@ -229,29 +230,23 @@ class OpenedResult:
         return self.numbers
 
 
-def read_result(folder: Path | str) -> OpenedResult:
-    """Open a folder that `reconstruct` wrote: `.normals(3)`, `.depth(3)`, `.mesh(3)`, `.findings`, `.frames`.
-
-    Raises `BadInput` for a folder of another kind.
-    """
-    return open_result(Path(folder))
-
-
-def open_result(
-    root: Path,
+def read_result(
+    folder: File,
     *,
-    frames: FrameRange | None = None,
+    frames: str | None = None,
     footage: str = "",
     background: Path | None = None,
     says_missing: bool = True,
 ) -> OpenedResult:
-    """Open a folder that `reconstruct` wrote; frames: only those of them. Raises `BadInput`.
+    """Open a folder that `reconstruct` wrote: `.normals(3)`, `.depth(3)`, `.mesh(3)`, `.findings`, `.frames`.
 
-    Says which frames are recorded as done while their files are gone. says_missing: False where that was
-    said before.
+    frames: only those of them, a:b:c. Raises `BadInput` for a folder of another kind. Says which frames are
+    recorded as done while their files are gone. says_missing: False where that was said before.
     """
+    root = Path(folder)
     manifest = read_manifest(root)
-    wanted = (frames or FrameRange()).numbers(manifest.input.frame_count)
+    asked = FrameRange.from_text(frames or "::")
+    wanted = asked.numbers(manifest.input.frame_count)
     if says_missing:
         for line in missing_files(root, manifest, wanted):
             logger.warning("%s: incomplete: %s", root, line)
@@ -262,7 +257,7 @@ def open_result(
         held = (
             f"it holds {len(present)}, from {present[0]} to {present[-1]}" if present else "it holds no frame"
         )
-        raise BadInput(f"{root}: holds none of the frames {(frames or FrameRange()).to_text()}; {held}")
+        raise BadInput(f"{root}: holds none of the frames {asked.to_text()}; {held}")
     return OpenedResult(
         folder=ReconstructionFolder(root=root),
         manifest=manifest,

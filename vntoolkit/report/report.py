@@ -17,8 +17,9 @@ from vntoolkit.io.results.frame_log import FrameEntry
 from vntoolkit.io.results.manifest import InputEntry
 from vntoolkit.options.pages import ReportOptions
 from vntoolkit.photometry.frame import LABEL_LEGEND
-from vntoolkit.pipeline.opened_result import OpenedResult, open_result
+from vntoolkit.pipeline.opened_result import OpenedResult, read_result
 from vntoolkit.report import page, pictures
+from vntoolkit.shipped import guide_section
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -42,7 +43,7 @@ def write_report(
     """
     options = options or ReportOptions()
     out = folder / "report.html" if out is None else out
-    result = open_result(folder, footage=options.footage)
+    result = read_result(folder, footage=options.footage)
     middle = result.numbers[len(result.numbers) // 2]
     sections = [
         warnings_section(result),
@@ -70,15 +71,21 @@ def warnings_section(result: OpenedResult) -> page.PageSection:
     """Return what was found wrong, the gravest first, and what the footage's header says."""
     from vntoolkit.diagnosis.header_checks import findings_from_header
 
-    notices = [page.PageNotice(severity=each.level, text=each.line) for each in result.findings]
+    notices = [_notice(each.level, each.line, each.check) for each in result.findings]
     try:
         stated = findings_from_header(result.capture)
-        notices += [page.PageNotice(severity=each.level.value, text=each.text) for each in stated]
+        notices += [_notice(each.level.value, each.text, each.check) for each in stated]
     except VntError as error:
         text = f"the footage could not be looked at: {error}"
         notices.append(page.PageNotice(severity="note", text=text))
     paragraphs = () if notices else ("Nothing was found that would ruin normals.",)
     return page.PageSection(title="Warnings", paragraphs=paragraphs, notices=tuple(notices))
+
+
+def _notice(severity: str, line: str, check: str) -> page.PageNotice:
+    """Return a finding, with its section of the guide in the place of the reference to it."""
+    text = line.removesuffix(f", see docs/wrong.md#{check}")
+    return page.PageNotice(severity=severity, text=text, more=tuple(guide_section(check)))
 
 
 def content_of_report(result: OpenedResult) -> dict[str, Any]:

@@ -301,7 +301,7 @@ def header_of_stream(stream: BinaryIO, name: str, error: type[BadInput] = BadCap
     if size > 2 * raw + _LONGEST_HEADER:
         size_px = f"{header.width}×{header.height}"
         raise error(
-            f"{name}: {size / 1e6:.0f} MB are more than one {header.format} of {size_px} pixels takes"
+            f"{name}: is larger ({size / 1e6:.0f} MB) than one {header.format} of {size_px} pixels can be"
         )
     return header
 
