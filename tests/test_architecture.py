@@ -98,8 +98,8 @@ LINES = {
 
 # Verb -> most modules of the package, and most lines of them, that are loaded before its function runs.
 CLOSURES = {
-    "reconstruct": (74, 10_900),
-    "track": (90, 12_650),
+    "reconstruct": (74, 10_950),
+    "track": (90, 12_700),
     "export": (51, 6_960),
     "view": (55, 7_500),
     "report": (49, 6_700),
