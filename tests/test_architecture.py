@@ -85,7 +85,7 @@ LINES = {
     "normals": 1550,
     "options": 1670,
     "photometry": 1050,
-    "pipeline": 7620,
+    "pipeline": 7630,
     "report": 3130,
     "shadows": 3080,
     "simulation": 3570,

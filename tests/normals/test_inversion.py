@@ -138,3 +138,13 @@ def test_refusals(rng) -> None:
         normals_from_encoded(np.ones((4, 5, 3)), RESPONSE, Transfer())
     with pytest.raises(BadInput, match="image: expected shape"):
         normals_from_encoded(np.ones((4, 5, 4), np.uint8), RESPONSE, Transfer())
+
+
+def test_a_frame_without_a_number_and_the_response_of_a_gel_are_refused() -> None:
+    with pytest.raises(BadInput, match="all values are NaN or infinite, expected linear light"):
+        frame_of(np.full((2, 3, 3), np.nan))
+    level = np.array([0.4, 0.3, 0.5])  # of the untouched gel, as `calibrate presses` fits it
+    matrix = np.vstack([[0.3, -0.2, -0.1], [0.0, 0.3, -0.3], -level]).T
+    gel = LightResponse(matrix=matrix, ambient=-level)
+    with pytest.raises(BadInput, match=r"got a gel's, .* take `Gel`, which rectifies"):
+        normals_from_frame(frame_of(np.full((2, 3, 3), 0.2)), gel)

@@ -42,6 +42,11 @@ def normals_from_frame(
     outside the mask, black, turned away from the camera, not finite, or clipped where so chosen. The
     weight is 1 where the albedo is as expected and 1/2 where it is off by `albedo_tolerance`.
     """
+    if response.is_of_changes:
+        raise BadInput(
+            "normals: expected the M of a surface, got a gel's, which is of changes of colour; take `Gel`, "
+            "which rectifies the frame and subtracts the untouched gel"
+        )
     inside = require_mask_or_all(mask, frame.shape)
     clipped = np.ascontiguousarray(frame.clipped)
     found = _inverted(np.ascontiguousarray(frame.rgb), None, clipped, inside, response, options)
