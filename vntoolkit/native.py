@@ -147,7 +147,7 @@ def _private_folder() -> str:
         os.mkdir(path, 0o700)  # noqa: PTH102
     found = os.lstat(path)
     if not stat.S_ISDIR(found.st_mode) or found.st_uid != user or found.st_mode & 0o077:
-        raise PermissionError(f"{path} is open to others, and what is read there is run")
+        raise PermissionError(f"{path}: other users can write there, so compiled code is not loaded from it")
     return path
 
 

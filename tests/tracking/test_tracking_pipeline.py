@@ -102,7 +102,7 @@ def test_without_the_footage_it_says_that_paint_is_not_tracked(folder, caplog):
     track(TrackArguments(folder, method=Tracker.FLOW))
     assert "paint" not in caplog.text  # a published method reads none
     track(job(folder, overwrite=True))
-    assert "paint is not tracked, relief and shape alone are: " in caplog.text
+    assert "tracking uses relief and shape, not the colours of the surface: " in caplog.text
     assert "give --footage" in caplog.text
 
 

@@ -117,7 +117,7 @@ def _report_lamps(lit: LitBall, is_perspective: bool) -> None:
     away = [f"{1.0 / lamp.closeness:.0f}" if lamp.closeness else "over 100" for lamp in lit.lamps]
     say(f"  lamps' distance   {', '.join(away)} radii of the ball (red, green, blue)")
     if not is_perspective:
-        say("                    (or nearer: --camera or --focal-px tells, and lets M change with it)")
+        say("                    (or nearer: give --camera or --focal-px to measure it)")
     room = ", ".join(f"{100.0 * share:.1f}" for share in lit.room)
     say(f"  light of the room {f'{room} % of full scale' if lit.is_room_known else 'not told'}")
 
@@ -309,9 +309,9 @@ class PressesArguments(CornerOptions, CurveOptions, AllowOptions, SensorOptions,
 def calibrate_presses(asked: PressesArguments) -> Rig:
     """Calibrate a tactile sensor on presses of a ball of known size into its gel.
 
-    The contact circles are found. The rig keeps --corners, so that `reconstruct` and `live` rectify without
-    being told; give both a --background, the gel untouched. Depth is 0 at the untouched gel and negative in a
-    dent, which is nearer to the camera.
+    The contact circles are found. The rig keeps --corners, so `reconstruct` and `live` rectify the picture
+    without them. Both need --background, a picture of the untouched gel. Depth is 0 at the untouched gel and
+    negative in a dent, which is nearer to the camera.
     """
     require_known_checks(asked.allow)
     require_output(Path(asked.out), JSON)

@@ -91,8 +91,8 @@ class ReconstructArguments(CornerOptions, RunArguments):
     """White where the subject is, of the footage's size: an image, or a video, a folder or a pattern with a
     matte for each frame."""
     transfer: str | None = None
-    """Transfer curve of the footage, linear, srgb, bt709, gamma:G, pq, hlg, slog3, vlog, clog3 or logc3, even
-    where the file states another. Default: the rig's."""
+    """Transfer curve of the footage: linear, srgb, bt709, gamma:G, pq, hlg, slog3, vlog, clog3 or logc3. It
+    overrides the curve that the file states. Default: the rig's."""
 
 
 @verb(ReconstructArguments)

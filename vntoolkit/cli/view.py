@@ -41,9 +41,9 @@ def _written(asked: ViewArguments, result: OpenedResult, html: Path) -> int:
 
 @verb(ViewArguments)
 def view(asked: ViewArguments) -> ResultViewer | Path:
-    """Serve a page on which one scrubs through a reconstruction and drags a light; or write one to keep.
+    """Serve a page that shows a reconstruction: move through its frames, drag a light. Or write such a page.
 
-    In Python the server is returned: `.address` is its page, and `.close()` ends it; or the page's name.
+    In Python the server is returned, of which `.address` is the page and `.close()` ends it; or the file.
     """
     result = _opened(asked)
     if asked.html is None:

@@ -24,7 +24,7 @@ import numba
 import numpy as np
 
 from vntoolkit.arrays import Float32Array, Float64Array, FloatArray, Mask
-from vntoolkit.integration.edges import EdgeField
+from vntoolkit.integration.edges import EdgeField, chords_from_slopes
 from vntoolkit.integration.poisson import MaskedSolver
 from vntoolkit.native import njit
 
@@ -102,18 +102,15 @@ class SlopeErrors:
         return _are_explained(np.concatenate(normalised))
 
 
-def solve_discontinuous(
-    solver: MaskedSolver, difference: Float32Array, errors: SlopeErrors, depth: FloatArray
-) -> FloatArray:
-    """Return depth in pixels (h, w), of arbitrary offset per component.
-
-    difference: (2, h, w), wanted, in pixels. depth: that of least squares (h, w).
-    """
-    variance = errors.variance()
+def solve_discontinuous(solver: MaskedSolver, errors: SlopeErrors, depth: FloatArray) -> FloatArray:
+    """Return depth in pixels (h, w), of arbitrary offset per component; depth: that of least squares."""
+    difference, variance = chords_from_slopes(errors.p, errors.q), errors.variance()
+    if errors.steps is not None:
+        difference += errors.steps
     inside = variance > 0
     trust = np.divide(1.0, variance, out=np.zeros_like(variance), where=inside)
     trust /= trust.max(initial=_SMALLEST)
-    variance[~inside] = 1.0
+    variance[~inside], difference[~inside] = 1.0, 0.0
     residual = _differences(depth) - difference
     weight, tolerance = trust, _FIRST_TOLERANCE
     for progress in np.linspace(0.0, 1.0, _ROUNDS + 1):
@@ -144,7 +141,7 @@ def _deviation(normalised: FloatArray) -> float:
     return _MEDIAN_TO_DEVIATION * float(np.median(normalised[:: 1 + len(normalised) // _VOTES]))
 
 
-def kept_share(residual: Float64Array, wanted: Float32Array, tolerated: Float32Array) -> Float32Array:
+def kept_share(residual: Float64Array, wanted: Float64Array, tolerated: Float32Array) -> Float32Array:
     """Return by how much each edge (2, h, w) still holds two pixels together, from 0 to 1.
 
     tolerated: squared residual, in pixels², at which an edge along the slope keeps a quarter.

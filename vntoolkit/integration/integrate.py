@@ -17,7 +17,6 @@ from vntoolkit.integration.cast_shadows import DepthSteps, with_steps
 from vntoolkit.integration.discontinuity import SlopeErrors, solve_discontinuous
 from vntoolkit.integration.edges import (
     Components,
-    chords_from_normals,
     edges_from_slopes,
 )
 from vntoolkit.integration.poisson import CosineSolver, FourierSolver, MaskedSolver, RectangleSolver
@@ -115,8 +114,10 @@ class DepthIntegrator:
         """Return where a surface would be seen from behind, or not at all: n_z >= 0, and n·ray >= 0 too."""
         behind: Mask = normals[..., 2] >= 0
         if behind.any() and self._camera.is_perspective:
-            points = self._rays.image_plane_points(*behind.shape)[behind]
-            behind[behind] = normals[behind][:, 2] + (normals[behind][:, :2] * points).sum(axis=1) >= 0
+            rays = self._camera.unproject(
+                np.argwhere(behind)[:, ::-1].astype(np.float64), np.ones(np.count_nonzero(behind))
+            )
+            behind[behind] = (normals[behind] * rays).sum(axis=1) >= 0
         return behind
 
     def _require_domain(self, domain: Mask) -> None:
@@ -189,18 +190,7 @@ class DomainSolver:
         errors = slope_errors(normal_map, p, q, self._rays, self.domain, box, steps)
         if errors.explain(smooth * scale):
             return self.components.remove_means(smooth)
-        inside = self.domain[box]
-        difference = chords_from_normals(
-            normal_map.normals_in_camera[box],
-            self._near.image_plane_points(*inside.shape),
-            inside,
-            perspective=self._rays.depth_scales_ray > 0.0,
-            pixels_per_unit=scale,
-            steepest_slope_deg=self._options.steepest_slope_deg,
-        )
-        if errors.steps is not None:
-            difference += errors.steps
-        solution = solve_discontinuous(self._masked, difference, errors, smooth * scale)
+        solution = solve_discontinuous(self._masked, errors, smooth * scale)
         return self.components.remove_means(solution / scale)
 
     def _slopes(self, normal_map: NormalMap) -> tuple[Float32Array, Float32Array]:

@@ -92,7 +92,7 @@ def require_name(name: str, source: Path | str) -> str:
     source: what the name was taken from, for the message.
     """
     if name.strip(". ") == "" or set(name) & {"/", "\\", "\0"} or len(os.fsencode(name)) > _LONGEST_NAME:
-        raise BadInput(f"{source}: gives the name {name[:80]!r}, which no file can bear; rename it")
+        raise BadInput(f"{source}: gives the name {name[:80]!r}, which is not allowed for a file; rename it")
     return name
 
 
@@ -183,6 +183,10 @@ def require_pixels(
 
     max_megapixels: None for the limit that holds.
     """
+    if min(width, height) < 1:
+        raise error(
+            f"{name}: states a size of {width}×{height}, expected pixels; it is damaged: copy it again"
+        )
     most = reading_limits().max_megapixels if max_megapixels is None else max_megapixels
     megapixels = width * height / 1e6
     if megapixels > most:

@@ -91,11 +91,11 @@ class HeadOptions(Options):
     """What is matched between frames: tracks of the skin (video), or SIFT features (photographs up to 20
     degrees apart)."""
     threshold: float | None = None
-    """Mean of the channels, 0 to 1 of full scale, above which a pixel is subject, before the contour is moved
-    to the edge beside it; default: found from the image's border."""
+    """Mean of the channels, 0 to 1 of full scale, above which a pixel is subject. The contour is then moved
+    to the edge beside it. Default: found from the image's border."""
     light_model: Named[ResponseModel, ResponseModelName] = named(ResponseModel.LINEAR)
-    """3×3, or 3×4 with ambient light, for skin of one albedo only: on bare skin, variation of albedo passes
-    for ambient light."""
+    """3×3; or 3×4, which adds ambient light. Take 3×4 for skin of one colour only: on bare skin it takes
+    changes of the albedo for ambient light."""
     steps: HeadSteps = field(default_factory=HeadSteps)
 
     def _require_valid(self) -> None:

@@ -49,7 +49,8 @@ class PhotometricStereoArguments(CurveOptions, PictureLimits):
     """The folder to write: normals.exr with expected errors, normal.png, Normal_est.mat, mask.png and
     albedo.png."""
     lights: OptionalFile = named(None)
-    """A row a photograph, in the order of their names: x y z towards the lamp (x right, y up, z towards the
-    viewer), and perhaps red green blue. Default: light_directions.txt in the folder."""
+    """A text file with one row for each photograph, in the order of their names: x y z towards the lamp (x
+    right, y up, z towards the viewer), and perhaps red green blue. Default: light_directions.txt in the
+    folder."""
     mask: OptionalFile = named(None)
     """White where the subject is. Default: mask.png in the folder."""

@@ -43,8 +43,8 @@ class TrackingOptions(Options):
     method: Named[Tracker, TrackerName] = named(Tracker.DEFAULT)
     """The tracking method: the default, or a published one for comparison."""
     smoothing_length: float = _PAPERS_LENGTH
-    """In edges; the Laplacian methods keep waves longer than about five times this (β = 1.5 / length²; the
-    default is the paper's β = 1e-3)."""
+    """Smoothing of the Laplacian methods, in edge lengths: they keep waves longer than about five times this.
+    β = 1.5 / length²; the default is the paper's β = 1e-3."""
     data_share: float = _PAPERS_SHARE
     """Share of the data term in the translation method (α), 0 to 1. Default: the paper's."""
 

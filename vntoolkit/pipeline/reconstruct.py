@@ -179,8 +179,8 @@ def _begun(request: Request, footage: Footage, frames: FrameRange, overwrite: bo
     if earlier is not None and known.shapes() != earlier.shapes():
         again = set(log.done())
         logger.warning(
-            "more frames are asked for than before (%s), and among them lamps, materials or blur are found "
-            "to be others: %s from before are made again", ", ".join(earlier.frames), numbers_in_words(again),
+            "with more frames than before (%s), other lamps, materials or blur are found: %s from before are "
+            "made again", ", ".join(earlier.frames), numbers_in_words(again),
         )  # fmt: skip
     manifest = manifest.model_copy(update={"known": known, "outputs": request.folders_with(known)})
     begin_run(root, RECONSTRUCTION, manifest, overwrite=overwrite or bool(again))

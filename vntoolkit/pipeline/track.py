@@ -136,7 +136,7 @@ def _paint_reader(asked: TrackArguments, result: OpenedResult, first: int) -> Pa
             raise BadInput("the reconstruction subtracted a background; give it as --background")
         result.linear(first)
     except VntError as problem:
-        _LOGGER.warning("paint is not tracked, relief and shape alone are: %s", problem)
+        _LOGGER.warning("tracking uses relief and shape, not the colours of the surface: %s", problem)
         return None
     reflectances = np.array([entry.reflectance for entry in result.manifest.known.materials]).reshape(-1, 3)
 

@@ -79,10 +79,11 @@ def graded(label: str, shown: str, value: float, bounds: tuple[float, float], re
 
 @dataclass(frozen=True, kw_only=True)
 class PageNotice:
-    """A line that must be seen. severity: note, warning or fatal, as doctor's."""
+    """A line that must be seen. severity: note, warning or fatal, as doctor's. more: opens beneath it."""
 
     severity: str
     text: str
+    more: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -19,6 +19,7 @@ from vntoolkit.options.pages import ReportOptions
 from vntoolkit.photometry.frame import LABEL_LEGEND
 from vntoolkit.pipeline.opened_result import OpenedResult, read_result
 from vntoolkit.report import page, pictures
+from vntoolkit.shipped import guide_section
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -70,15 +71,21 @@ def warnings_section(result: OpenedResult) -> page.PageSection:
     """Return what was found wrong, the gravest first, and what the footage's header says."""
     from vntoolkit.diagnosis.header_checks import findings_from_header
 
-    notices = [page.PageNotice(severity=each.level, text=each.line) for each in result.findings]
+    notices = [_notice(each.level, each.line, each.check) for each in result.findings]
     try:
         stated = findings_from_header(result.capture)
-        notices += [page.PageNotice(severity=each.level.value, text=each.text) for each in stated]
+        notices += [_notice(each.level.value, each.text, each.check) for each in stated]
     except VntError as error:
         text = f"the footage could not be looked at: {error}"
         notices.append(page.PageNotice(severity="note", text=text))
     paragraphs = () if notices else ("Nothing was found that would ruin normals.",)
     return page.PageSection(title="Warnings", paragraphs=paragraphs, notices=tuple(notices))
+
+
+def _notice(severity: str, line: str, check: str) -> page.PageNotice:
+    """Return a finding, with its section of the guide in the place of the reference to it."""
+    text = line.removesuffix(f", see docs/wrong.md#{check}")
+    return page.PageNotice(severity=severity, text=text, more=tuple(guide_section(check)))
 
 
 def content_of_report(result: OpenedResult) -> dict[str, Any]:
