@@ -32,7 +32,7 @@ def normals_from_frame(
 
     frame: linear colour (h, w, 3). mask: (h, w), pixels of interest; default all. camera: tells from where a
     pixel is seen, so that no normal faces away from there; None for orthographic. Invalid in the result:
-    outside the mask, black, turned away from the camera, not finite, or clipped where so chosen. The
+    outside the mask, black, turned away from the camera, or clipped where so chosen. The
     weight is 1 where the albedo is as expected and 1/2 where it is off by `albedo_tolerance`.
     """
     if response.is_of_changes:
