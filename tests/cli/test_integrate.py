@@ -129,6 +129,26 @@ def test_frames_of_a_folder_and_what_later_verbs_make_of_them(tmp_path):
     assert (tmp_path / "out" / "report.html").exists()
 
 
+def test_an_interrupted_folder_goes_on_where_it_stopped(tmp_path):
+    """The second time, the frames that are there are not written again, and all depths are as at once."""
+    _, normals, mask = ball()
+    (tmp_path / "maps").mkdir()
+    for number in range(2):
+        shown = np.roll(mask, number, axis=1)
+        moved = np.roll(normals, number, axis=1)
+        write_map(tmp_path / "maps" / f"{number}.16.png", moved, shown, NormalConvention.OPENGL)
+    whole = integrate(tmp_path / "maps", out=tmp_path / "whole", to="depth")
+    integrate(tmp_path / "maps", out=tmp_path / "parts", to="depth")
+    before = [(tmp_path / "parts" / "depth" / f"00000{n}.exr").stat().st_mtime_ns for n in (0, 1)]
+    (tmp_path / "parts" / "depth" / "000001.exr").unlink()
+    went_on = integrate(tmp_path / "maps", out=tmp_path / "parts", to="depth")
+    after = [(tmp_path / "parts" / "depth" / f"00000{n}.exr").stat().st_mtime_ns for n in (0, 1)]
+    assert before[0] == after[0]
+    assert before[1] < after[1]
+    for number in (0, 1):
+        np.testing.assert_allclose(went_on.depth(number).depth, whole.depth(number).depth, atol=1e-3)
+
+
 def test_normals_that_face_away_are_left_out_or_refused(tmp_path, caplog):
     _, normals, _mask = ball()
     some = normals.copy()
