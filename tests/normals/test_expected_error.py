@@ -1,22 +1,28 @@
 """Nine of ten normals lie within their expected error, whatever the error's cause."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
 
 from vntoolkit.errors import BadInput
+from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.io.maps_and_meshes.maps import read_normal_map, write_normal_map
 from vntoolkit.normals.expected_error import (
     doubts_of_materials,
+    normals_and_errors_from_encoded,
     with_doubt,
     with_expected_error,
 )
 from vntoolkit.normals.frame_evidence import fit_ellipsoid
-from vntoolkit.normals.inversion import normals_from_frame
-from vntoolkit.normals.lost_detail import _OF_MANY_WAVES, detail_left, lost_over_left, side_of_squares
+from vntoolkit.normals.inversion import normals_from_encoded, normals_from_frame, rows_of
+from vntoolkit.normals.lost_detail import _OF_MANY_WAVES, detail_kernel, lost_over_left, side_of_squares
 from vntoolkit.photometry.frame import LinearFrame
-from vntoolkit.photometry.response import LightResponse
+from vntoolkit.photometry.levelling import Leveller
+from vntoolkit.photometry.response import LightResponse, rgb_from_normals, with_near_lamps
+from vntoolkit.photometry.transfer import Transfer
 
 MATRIX = np.array([[0.5, 0.06, -0.45], [-0.22, 0.4, -0.5], [-0.2, -0.35, -0.42]])
 RESPONSE = LightResponse(matrix=MATRIX, ambient=np.array([0.02, 0.01, 0.03]))
@@ -52,17 +58,15 @@ def test_noise_is_foretold_to_a_tenth(rng, sigma):
 
 
 def test_an_error_of_m_is_seen_without_any_truth(rng):
-    """Twelve wrong rigs: over all of them the bound holds, and none is ten times too wide."""
+    """Four wrong rigs: the bound is neither broken nor ten times too wide."""
     light = colours() + rng.normal(0, 0.003, (240, 240, 3))
-    right, _ = seen(light)
-    within = []
-    for _ in range(12):
+    for _ in range(4):
         wrong = LightResponse(matrix=MATRIX * (1 + rng.normal(0, 0.1, (3, 3))), ambient=RESPONSE.ambient)
         normal_map, error = seen(light, wrong)
+        right, _ = seen(light)
         assert np.median(normal_map.error_deg) > 3 * np.median(right.error_deg)
-        within.append((error <= normal_map.error_deg).mean())
+        assert (error <= normal_map.error_deg).mean() > 0.6
         assert np.median(normal_map.error_deg) < 8 * np.median(error)
-    assert np.mean(within) > 0.8
 
 
 def test_an_error_of_m_is_seen_on_a_subject_that_is_nearly_flat(rng):
@@ -78,6 +82,22 @@ def test_an_error_of_m_is_seen_on_a_subject_that_is_nearly_flat(rng):
         normal_map, error = seen(light, wrong, truth)
         within.append((error <= normal_map.error_deg).mean())
     assert np.median(within) > 0.9, within
+
+
+@pytest.mark.parametrize("distance", [5.0, 10.0])
+def test_near_lamps_are_seen_without_any_truth(rng, distance):
+    """Point lamps a few half pictures away, under a rig that is right at the centre: light from two sides."""
+    towards = MATRIX / np.linalg.norm(MATRIX, axis=1, keepdims=True)
+    v, u = (np.mgrid[:240, :240] - 119.5) / 120
+    place = np.stack([u, v, np.zeros_like(u)], axis=-1)
+    to_lamp = distance * towards - place[..., None, :]
+    away = np.linalg.norm(to_lamp, axis=-1, keepdims=True)
+    lamps = np.linalg.norm(MATRIX, axis=1)[:, None] * to_lamp / away * (distance / away) ** 2
+    light = np.einsum("vuki,vui->vuk", lamps, waves()) + RESPONSE.ambient
+    normal_map, error = seen(np.maximum(light, 0) + rng.normal(0, 0.003, light.shape))
+    assert np.median(error) > 25 / distance
+    assert (error <= normal_map.error_deg).mean() > 0.9
+    assert np.median(normal_map.error_deg) < 2.5 * np.median(error)
 
 
 def test_clipped_painted_and_shadowed_pixels_are_doubted(rng):
@@ -151,7 +171,7 @@ def test_of_two_lights_and_a_normal_behind_the_third_the_bound_is_how_far_it_dep
         given = NormalMap(normals_in_camera=normals, mask=np.ones((240, 240), bool), weight=plain.weight)
         bound = with_expected_error(given, frame, RESPONSE, labels).error_deg[80:160, 80:160]
         of_albedo = of_the_albedo_deg(behind @ across)
-        assert least <= np.sqrt(max(np.median(bound) ** 2 - of_albedo**2, 0.0)) <= most
+        assert least <= np.sqrt(np.median(bound) ** 2 - of_albedo**2) <= most
     other = with_expected_error(given, frame, RESPONSE, np.where(labels == 6, 4, 7).astype(np.uint8))
     assert (other.error_deg[80:160, 80:160] > 70).all()  # one light tells next to nothing
 
@@ -163,7 +183,7 @@ def test_the_residual_of_the_rig_is_part_of_it_and_the_weight_follows():
     assert np.median(plain.error_deg) < 2.5
     assert np.median(doubted.error_deg) == pytest.approx(11.0, rel=0.1)
     order = np.argsort(doubted.error_deg, axis=None)
-    assert (np.diff(doubted.weight.ravel()[order]) < 1e-6).all()  # but for the last bit of float32
+    assert (np.diff(doubted.weight.ravel()[order]) <= 0).all()
     assert doubted.weight.min() > 0
     assert doubted.weight.max() < plain.weight.max() <= 1
 
@@ -197,12 +217,67 @@ def test_an_error_of_m_is_what_its_uncertainty_does_not_explain(rng):
         for _ in range(20):
             length = foretold * np.exp(rng.normal(0, 0.02, 200))
             samples = np.vstack([normals.T * length, place])
-            found = fit_ellipsoid(samples, (96, 96))
-            squares.append((found[1:7] ** 2 @ [1, 2, 2, 1, 2, 1], found[14]))
+            found, _ = fit_ellipsoid(samples, (96, 96), np.zeros((2, 3, 3, 3)))
+            squares.append((found[1:7] ** 2 @ [1, 2, 2, 1, 2, 1], found[31]))
         whole, share = np.transpose(squares)
         told[size] = (whole * share).mean() / whole.mean()
     assert told[0.0] < 0.3
     assert told[0.08] > 0.9
+
+
+def test_noise_that_the_normals_do_not_have_is_left_out(rng):
+    """Means over 3×3 pixels have a third of the noise of the colours' own normals, and a bound to match."""
+    light = colours() + rng.normal(0, 0.03, (240, 240, 3))
+    frame = LinearFrame(rgb=light, clipped=np.zeros((240, 240), bool))
+    own = normals_from_frame(frame, RESPONSE)
+    smooth = normals_from_frame(replace(frame, rgb=cv2.blur(light, (3, 3))), RESPONSE)
+    labels = np.full((240, 240), 7, np.uint8)
+    bounds = []
+    for found, most in ((own, 0.95), (smooth, 0.99)):
+        bound = with_expected_error(found, frame, RESPONSE, labels).error_deg
+        cosine = np.einsum("vui,vui->vu", found.normals_in_camera, waves())
+        within = np.degrees(np.arccos(np.clip(cosine, -1, 1))) <= bound
+        assert 0.85 < within.mean() < most
+        bounds.append(np.median(bound))
+    assert bounds[1] < 0.6 * bounds[0]
+
+
+@pytest.mark.parametrize(
+    ("size", "blur_px"), [((240, 240), 0.0), ((37, 91), 0.0), ((240, 240), 1.0), ((37, 91), 2.2)]
+)
+def test_stored_samples_give_the_same_in_one_pass(rng, size, blur_px):
+    light = (colours() + rng.normal(0, 0.01, (240, 240, 3)))[: size[0], : size[1]]
+    stored = np.rint(65535 * np.clip(1.3 * light, 0, 1)).astype(np.uint16)
+    mask = rng.random(size) > 0.05
+    camera = Camera.pinhole(width=size[1], height=size[0], focal_px=300.0)
+    found, clipped = normals_and_errors_from_encoded(
+        stored, RESPONSE, Transfer(), mask, camera=camera, residual_deg=2.0, blur_px=blur_px
+    )
+    plain = normals_from_encoded(stored, RESPONSE, Transfer(), mask)
+    np.testing.assert_allclose(found.normals_in_camera, plain.normals_in_camera, atol=1e-6)
+    np.testing.assert_array_equal(found.mask, plain.mask)
+    frame = LinearFrame(rgb=(stored / 65535).astype(np.float32))
+    assert clipped == pytest.approx(frame.clipped.mean())
+    apart = with_expected_error(plain, frame, RESPONSE, camera=camera, residual_deg=2.0, blur_px=blur_px)
+    for name in ("error_deg", "weight", "noise_deg"):
+        np.testing.assert_allclose(getattr(found, name), getattr(apart, name), rtol=0.02, atol=0.01)
+
+
+def test_m_that_varies_is_read_in_one_pass_too(rng):
+    """Near lamps: the same as where the frame is first made to look as the M of its centre would show it."""
+    response = with_near_lamps(RESPONSE, 0.15, (240, 240))
+    light = rgb_from_normals(waves(), response) + rng.normal(0, 0.01, (240, 240, 3))
+    stored = np.rint(65535 * np.clip(light, 0, 1)).astype(np.uint16)
+    found, _ = normals_and_errors_from_encoded(stored, response, Transfer())
+    plain = normals_from_encoded(stored, response, Transfer())
+    np.testing.assert_allclose(found.normals_in_camera, plain.normals_in_camera, atol=1e-5)
+    np.testing.assert_array_equal(found.mask, plain.mask)
+    rgb = (stored / 65535).astype(np.float32)
+    frame = LinearFrame(rgb=rgb, clipped=(stored == 65535).any(axis=2))
+    level = Leveller(response, frame.shape).frame(frame)
+    apart = with_expected_error(plain, level, RESPONSE)
+    for name in ("error_deg", "weight", "noise_deg"):
+        np.testing.assert_allclose(getattr(found, name), getattr(apart, name), rtol=0.02, atol=0.01)
 
 
 def test_vignetting_is_no_error_of_normals(rng):
@@ -255,8 +330,12 @@ def test_what_blur_takes_from_one_wave_follows_from_two_more_blurs(rng, length_p
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
     light = cv2.GaussianBlur(colours(normals), (0, 0), blur_px) + rng.normal(0, 0.002, (240, 240, 3))
     side = side_of_squares(blur_px)
-    whole = np.ones((240, 240), bool)
-    found = detail_left(light.astype(np.float32), whole, RESPONSE, 1.0, side)
+    inverse = np.linalg.inv(MATRIX).astype(np.float32)
+    found, whole = np.zeros((3, 15, 15), np.float32), np.ones((240, 240), bool)
+    detail_kernel(
+        rows_of(light.astype(np.float32)), None, np.zeros((240, 240), bool), np.float32(0), None, whole, None,
+        inverse, RESPONSE.ambient.astype(np.float32), np.float32(1), side, found,
+    )  # fmt: skip
     left = found[0].sum() / found[1].sum()
     taken = np.sqrt(2 * lost_over_left(found, blur_px, side) * left / _OF_MANY_WAVES)
     true = height / np.sqrt(2) * (1 - np.exp(-0.5 * (blur_px * k) ** 2))
@@ -300,10 +379,11 @@ def test_another_order_of_the_samples_gives_the_same_bits(rng: np.random.Generat
     v, u = np.mgrid[:96:3, :96:3].reshape(2, -1)
     lengths = 0.9 * (1.0 + 0.1 * normals[:, 0]) * np.exp(rng.normal(0.0, 0.01, len(normals)))
     samples = np.vstack([normals.T * lengths, u, v])
-    found = fit_ellipsoid(samples, (96, 96))
-    other = fit_ellipsoid(samples[:, rng.permutation(len(normals))], (96, 96))
-    assert found[1:7].any()
-    assert np.array_equal(found[:7], other[:7])
+    nearness = rng.normal(0.0, 0.3, (2, 3, 3, 3))
+    found, _ = fit_ellipsoid(samples, (96, 96), nearness)
+    other, _ = fit_ellipsoid(samples[:, rng.permutation(len(normals))], (96, 96), nearness)
+    assert found[1:25].any()
+    assert np.array_equal(found[:25], other[:25])
 
 
 def test_doubts_of_materials_and_of_paint_add_as_independent_errors() -> None:
