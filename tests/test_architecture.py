@@ -87,7 +87,7 @@ LINES = {
     "photometry": 1050,
     "pipeline": 7620,
     "report": 3140,
-    "shadows": 2180,
+    "shadows": 2170,
     "simulation": 3570,
     "skinning": 2130,
     "tactile": 1400,
