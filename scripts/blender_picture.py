@@ -4,7 +4,7 @@
     blender/bin/python scripts/blender_picture.py cloth.usdc --out docs/img/blender.jpg [--frame 40]
 
 Blender's Python module needs another numpy than vntoolkit, so it has an environment of its own. The file is
-imported with Blender's defaults; the armature is drawn as sticks, since bones do not show in a rendering.
+imported with Blender's defaults. Sticks join the armature's joints, since bones do not show in a rendering.
 """
 
 import argparse
@@ -13,7 +13,7 @@ from pathlib import Path
 import bpy
 from mathutils import Vector
 
-SIZE_PX = (900, 700)
+SIZE_PX = (720, 600)
 SAMPLES = 48
 BONE_RADIUS_M = 0.012
 TURNED = (0.55, -1.0, 0.12)  # from the figure to the camera: before it, a little to the side and above
@@ -30,7 +30,8 @@ def main(source: Path, out: Path, frame: int) -> None:
     armatures = [each for each in scene.objects if each.type == "ARMATURE"]
     for armature in armatures:
         for bone in armature.pose.bones:
-            add_stick(armature.matrix_world @ bone.head, armature.matrix_world @ bone.tail)
+            if bone.parent is not None:
+                add_stick(armature.matrix_world @ bone.parent.head, armature.matrix_world @ bone.head)
     corners = [each.matrix_world @ Vector(corner) for each in meshes for corner in each.bound_box]
     corners += [a.matrix_world @ bone.head for a in armatures for bone in a.pose.bones]
     low, high = (Vector(pick(axis) for axis in zip(*corners, strict=True)) for pick in (min, max))
@@ -47,7 +48,7 @@ def main(source: Path, out: Path, frame: int) -> None:
 
 
 def add_stick(head: Vector, tail: Vector) -> None:
-    """Add a cylinder between two points."""
+    """Add a cylinder between two joints."""
     along = tail - head
     if along.length < BONE_RADIUS_M:
         return

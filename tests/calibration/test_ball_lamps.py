@@ -129,5 +129,5 @@ def test_a_ball_that_shows_no_dark_side_does_not_tell_the_room(caplog) -> None:
 def test_a_lamp_that_seems_to_stand_in_the_picture_is_told(caplog) -> None:
     frames, mask = photographs((0.2, 0.05, 0.05))
     fit_response_to_switched_sphere(frames, CAMERA, mask)
-    assert "5.0 of its radii from its centre" in caplog.text
+    assert "5.0 radii of the ball from its centre" in caplog.text
     assert "--transfer" in caplog.text

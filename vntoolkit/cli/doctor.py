@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.markup import escape
@@ -27,6 +27,7 @@ from vntoolkit.errors import BadCapture, BadInput, escaped
 from vntoolkit.options.base import OptionalFile, as_path, named
 from vntoolkit.options.footage import Gaps, MatteOptions, PictureLimits, SensorOptions
 from vntoolkit.options.shared import BackgroundOptions
+from vntoolkit.shipped import with_guide
 
 if TYPE_CHECKING:
     from vntoolkit.diagnosis.inspection import CaptureReport
@@ -233,7 +234,8 @@ def _stated_and_done(report: CaptureReport) -> list[tuple[str, str, str]]:
 
 def _print_report(console: Console, source: str, report: CaptureReport) -> None:
     info = report.info
-    table = Table(title=escape(escaped(source)), show_header=False, title_justify="left")
+    plain: dict[str, Any] = {"title_justify": "left", "box": None, "pad_edge": False}
+    table = Table(title=escape(escaped(source)), show_header=False, **plain)
     table.add_column(style="bold")
     table.add_column()
     rate = "" if info.frame_rate_hz is None else f", {info.frame_rate_hz:g} per second"
@@ -248,7 +250,7 @@ def _print_report(console: Console, source: str, report: CaptureReport) -> None:
     table.add_row("dark", f"{report.dark_share:.2%} of the pixels below 1 % of full scale")
     table.add_row("brightest", f"{report.brightest:.0%} of full scale (99th percentile)")
     console.print(table)
-    stated = Table(title="what the file states, and what is done with it", title_justify="left")
+    stated = Table(title="what the file states, and what is done with it", **plain)
     for heading in ("of", "stated", "done"):
         stated.add_column(heading)
     for row in _stated_and_done(report):
@@ -257,7 +259,7 @@ def _print_report(console: Console, source: str, report: CaptureReport) -> None:
     for finding in report.findings:
         colour = _COLOURS[finding.level.value]
         console.print(
-            f"[{colour}]{finding.level.value:>8}[/]  {escape(finding.text)}",
+            f"[{colour}]{finding.level.value:>8}[/]  {escape(with_guide(finding.text))}",
             highlight=False,
             soft_wrap=True,
         )
