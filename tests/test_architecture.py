@@ -89,7 +89,7 @@ LINES = {
     "photometry": 1060,
     "pipeline": 7780,
     "report": 3150,
-    "shadows": 2180,
+    "shadows": 2170,
     "simulation": 3570,
     "skinning": 2070,
     "tactile": 1400,

@@ -36,7 +36,6 @@ _FIRST_COSINE = 0.2  # lights with less are doubted at the start
 _SMOOTHNESS = 0.5  # price of a change of label between neighbours, in units of log odds
 _CONTRAST = 0.6  # see `bonds_of_light`
 _ROUNDS = 3  # alternations of surface and labels on the smallest image; most of the change comes in the first
-_FINER_ROUNDS = 2  # the same on every larger one
 _START_PIXELS = 15_000  # images are halved until they are not larger; there the labels start
 # Of a surface whose labels may still be wrong.
 _SURFACE = SurfaceOptions(noise=SURFACE_NOISE, smoothness=1.5, cycles=3)
@@ -83,9 +82,7 @@ def _surface_by_rounds(image: WorkingImage) -> tuple[Surface, FloatArray, float]
         return _first_surface(image, options)
     coarse, albedo, stray = _surface_by_rounds(image.halved)
     surface, albedo = coarse.enlarged(image.mask.shape, 2), _enlarged(albedo, image.mask.shape)
-    for _ in range(_FINER_ROUNDS):
-        surface, albedo = _solved(image, _lit_on(surface, image, albedo, stray), options, surface)
-    return surface, albedo, stray
+    return *_solved(image, _lit_on(surface, image, albedo, stray), options, surface), stray
 
 
 def _first_surface(image: WorkingImage, options: SurfaceOptions) -> tuple[Surface, FloatArray, float]:

@@ -12,7 +12,6 @@ from vntoolkit.arrays import BoolArray, FloatArray, Mask
 
 _REACH_PX = 2  # how far nearby is: a blur of 0.9 pixels is over by then
 _CAST_FACING = 0.2  # predicted cosine from which a shadow counts as cast
-_FAINTEST = 0.22  # largest cosine nearby from which there is an edge to judge
 
 _SHARPENING = 0.6  # part of the difference to the blurred image that is added
 _BLUR_PX = 0.87  # standard deviation, about that of a lens with a Bayer pattern
@@ -27,7 +26,7 @@ def lit_beyond_half(lit: BoolArray, cosines: FloatArray, predicted: FloatArray, 
     inside = mask[..., None]
     cast = (~lit & inside & (predicted > _CAST_FACING)).astype(np.uint8)
     brightest = cv2.dilate(np.where(lit & inside, cosines, np.float32(0.0)), nearby)
-    below = (cosines < 0.5 * brightest) & (brightest > _FAINTEST) & (cv2.dilate(cast, beside) > 0)
+    below = (cosines < 0.5 * brightest) & (cv2.dilate(cast, beside) > 0)
     return lit & ~(below & inside)
 
 
