@@ -75,8 +75,9 @@ def simulate(asked: SimulateArguments) -> Path:
     elif scene == "gel":
         radius, pixel = (f"{job.built.facts[name]:g}" for name in ("ball_radius_mm", "pixel_mm"))
         ball = ("--ball-radius-mm", radius, "--pixel-mm", pixel)
-        rest = out.with_name("rest") / "capture.mkv"
-        print_next("calibrate", "presses", video, "--background", rest, *ball, "--out", "gel.json")
+        rest, earlier = (out.with_name(name) / "capture.mkv" for name in ("rest", "presses"))
+        pressed = earlier if earlier.is_file() else video  # touches are filmed after the presses
+        print_next("calibrate", "presses", pressed, "--background", rest, *ball, "--out", "gel.json")
     elif own_rig.is_file():
         print_next("reconstruct", video, "--rig", own_rig, "--out", "result")
     else:  # under one lamp
