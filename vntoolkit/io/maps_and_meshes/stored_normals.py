@@ -13,8 +13,6 @@ from vntoolkit.arrays import Array, Float32Array, FloatArray, Mask
 from vntoolkit.checks import require_shape
 from vntoolkit.errors import BadInput
 from vntoolkit.io.files import require_file
-from vntoolkit.io.footage.images import read_image_with_alpha
-from vntoolkit.io.maps_and_meshes.arrays import read_npz
 from vntoolkit.io.maps_and_meshes.exr import read_exr
 from vntoolkit.io.maps_and_meshes.maps import CONVENTION_ATTRIBUTE, ERROR_CHANNEL
 from vntoolkit.options.export import NormalConvention
@@ -55,6 +53,8 @@ def read_stored_normals(
         case ".npz" | ".mat":
             samples = _normals_of_archive(path)
         case _:
+            from vntoolkit.io.footage.images import read_image_with_alpha
+
             samples, alpha = read_image_with_alpha(path, max_megapixels=max_megapixels)
     inside = alpha if mask is None else (mask if alpha is None else alpha & mask)
     if inside is not None and inside.shape != samples.shape[:2]:
@@ -162,6 +162,8 @@ def _off(vectors: FloatArray) -> float:
 
 def _normals_of_archive(path: Path) -> Array:
     """Return the one array (h, w, 3) of an archive; of several, the one that is named for normals."""
+    from vntoolkit.io.maps_and_meshes.arrays import read_npz
+
     shapes = _shapes_in(require_file(path))
     maps = [name for name, shape in shapes.items() if len(shape) == 3 and shape[2] == 3]
     maps = [name for name in maps if "normal" in name.lower()] or maps
