@@ -87,7 +87,7 @@ LINES = {
     "normals": 810,
     "options": 1730,
     "photometry": 1060,
-    "pipeline": 7770,
+    "pipeline": 7780,
     "report": 3150,
     "shadows": 2180,
     "simulation": 3570,
