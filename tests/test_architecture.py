@@ -75,7 +75,7 @@ LINES = {
     "(root)": 1970,
     "calibration": 4720,
     "cli": 3300,
-    "diagnosis": 4150,
+    "diagnosis": 4140,
     "evaluation": 1100,
     "geometry": 1800,
     "inspection": 250,
