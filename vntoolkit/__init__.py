@@ -2,7 +2,7 @@
 
 The floors, from the ground up; imports go strictly down:
 
-    0    arrays, errors, checks, native, shipped    foundations
+    0    arrays, errors, checks, native, libraries, shipped    foundations
     1    geometry, photometry              the objects that flow between the stages
     1.8  options                           option types and enums of all verbs
     2    io, calibration, materials, simulation, normals, shadows,

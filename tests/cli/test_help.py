@@ -24,12 +24,12 @@ def test_the_list_gives_each_verb_a_line(capsys, monkeypatch):
     ("verb", "told"),
     [
         ("live", "Frames that come too fast are dropped and counted."),
-        ("live", "a video plays at its own with --realtime"),
+        ("live", "A video plays at its own rate with --realtime"),
         (
             "simulate",
             "board_sweep, sphere, gel, jacket, sweater, sweater_stripes, sweater_logo",
         ),
-        ("calibrate head", "variation of albedo passes for ambient light"),
+        ("calibrate head", "Shape that gives the normals: from silhouettes only"),
         ("export", "The same command again continues an interrupted run"),
         ("evaluate tracks", "A vertex counts in a frame if its true point is visible there"),
     ],

@@ -165,6 +165,8 @@ def _off(vectors: FloatArray) -> float:
 
 def _normals_of_archive(path: Path) -> Array:
     """Return the one array (h, w, 3) of an archive; of several, the one that is named for normals."""
+    from vntoolkit.io.maps_and_meshes.arrays import read_npz
+
     shapes = _shapes_in(require_file(path))
     maps = [name for name, shape in shapes.items() if len(shape) == 3 and shape[2] == 3]
     maps = [name for name in maps if "normal" in name.lower()] or maps
