@@ -9,8 +9,10 @@ from vntoolkit.cli import run_verb
 from vntoolkit.cli.integrate import integrate
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
+from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.io.footage.image_writing import write_png
 from vntoolkit.io.maps_and_meshes.exr import write_exr
+from vntoolkit.io.maps_and_meshes.maps import write_normal_map
 from vntoolkit.io.maps_and_meshes.masks import write_mask
 from vntoolkit.options.export import NormalConvention
 
@@ -91,6 +93,19 @@ def test_what_surrounds_the_subject_is_no_normal(tmp_path, name, value, caplog):
     assert error_of(result) < 0.01
     assert f"{name} at the border was taken for background" in caplog.text
     assert len(result.mesh(0).faces) > mask.sum()
+
+
+def test_words_in_an_archive_and_masks_of_another_size_are_one_line(tmp_path):
+    np.savez(tmp_path / "a.npz", normals=np.full((4, 5, 3), "z"))
+    with pytest.raises(BadInput, match=r"a\.npz: expected numbers, got <U1"):
+        integrate(tmp_path / "a.npz", out=tmp_path / "out")
+    _, normals, mask = ball()
+    normal_map = NormalMap(normals_in_camera=np.where(mask[..., None], normals, 0), mask=mask)
+    write_normal_map(tmp_path / "a.exr", normal_map)
+    write_mask(tmp_path / "m.png", mask[:-1])
+    with pytest.raises(BadInput, match=r"a\.exr: is .* but its mask is .*; give one of its size"):
+        integrate(tmp_path / "a.exr", mask=tmp_path / "m.png", out=tmp_path / "out")
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_folder_with_mask_and_camera_beside_the_map(tmp_path):

@@ -70,6 +70,11 @@ class LightResponse:
         return matrices, self.ambient + monomials @ self.variation.ambients
 
     @property
+    def is_of_changes(self) -> bool:
+        """Whether M is a gel's: a surface that faces the camera adds nothing to the colour at rest."""
+        return bool(np.allclose(self.matrix[:, 2], self.ambient, rtol=1e-9, atol=0.0))
+
+    @property
     def central(self) -> "LightResponse":
         """The response at the centre of the variation, the same for all pixels."""
         return self if self.variation is None else replace(self, variation=None)
@@ -189,11 +194,13 @@ def scaled_normals_from_rgb(
 ) -> FloatArray:
     """Equation 1 solved for the normal times the relative albedo: M⁻¹(r − a), (..., 3).
 
-    rgb: (..., 3). positions_px: (..., 2), which only a response that varies over the image needs; default:
-    the pixels of an image (h, w, 3).
+    rgb: (..., 3), whose precision counts. positions_px: (..., 2), which only a response that varies over the
+    image needs; default: the pixels of an image (h, w, 3).
     """
     if response.variation is None:
-        return np.asarray((rgb - response.ambient) @ response.inverse.T)
+        kind = np.result_type(rgb, np.float32)
+        with np.errstate(invalid="ignore", over="ignore"):  # colours that are not finite stay so
+            return np.asarray((rgb - response.ambient.astype(kind)) @ response.inverse.T.astype(kind))
     matrices, ambients = response.at(_positions(positions_px, rgb))
     return np.asarray(np.linalg.solve(matrices, (rgb - ambients)[..., None])[..., 0])
 

@@ -233,7 +233,7 @@ def _begun(
     """Settle camera and convention on the first map, and say what was found."""
     if mask_file is not None and asked.mask is None:
         logger.warning("%s: masked by %s beside it", asked.source, mask_file.name)
-    convention = settled_convention(stored, asked.convention, asked.source, "--convention")
+    convention = settled_convention(stored, asked.convention, str(asked.source), "--convention")
     return _FrameIntegrator(asked, _camera_of(asked, source, stored.mask.shape), convention)
 
 
