@@ -103,7 +103,7 @@ CLOSURES = {
     "export": (51, 6_960),
     "view": (55, 7_510),
     "report": (50, 6_750),
-    "integrate": (86, 13_110),
+    "integrate": (86, 13_130),
     "dress": (90, 14_780),
     "simulate": (78, 11_540),
     "doctor": (29, 3_730),
