@@ -44,11 +44,15 @@ class DepthIntegrator:
 
     Confidence beyond that threshold weighs the equations of POISSON and DISCONTINUITY. COSINE and FOURIER
     cannot weigh, nor leave pixels out: they refuse a domain that is not the full rectangle.
+
+    may_jump: False for one sheet, such as a gel's: DISCONTINUITY then stays at least squares.
     """
 
     @checks_kinds
-    def __init__(self, camera: Camera, options: IntegrationOptions | None = None) -> None:
-        self._camera = camera
+    def __init__(
+        self, camera: Camera, options: IntegrationOptions | None = None, *, may_jump: bool = True
+    ) -> None:
+        self._camera, self._may_jump = camera, may_jump
         self._options = options or IntegrationOptions()
         self._rays = rays_from_camera(camera)
         self._rectangle: RectangleSolver | None = None
@@ -79,8 +83,10 @@ class DepthIntegrator:
                 normal_map.normals_in_camera, self._rays, self._options.steepest_slope_deg
             )
             solution = self._solve_rectangle(p, q)
-            if choice in _RECTANGLE or slope_errors(normal_map, p, q, self._rays).explain(
-                solution * self._rays.pixels_per_unit
+            if (
+                choice in _RECTANGLE
+                or not self._may_jump
+                or slope_errors(normal_map, p, q, self._rays).explain(solution * self._rays.pixels_per_unit)
             ):
                 return self._finish(solution, domain)
         return self._integrate_domain(normal_map, domain, steps)
@@ -92,7 +98,7 @@ class DepthIntegrator:
         if self._domain is None or not np.array_equal(domain, self._domain.domain):
             self._domain = DomainSolver(domain, self._rays, self._options)
         self.parts = self._domain.components
-        poisson = self._options.integrator is Integrator.POISSON
+        poisson = self._options.integrator is Integrator.POISSON or not self._may_jump
         solve = self._domain.poisson if poisson else self._domain.discontinuity
         return self._finish(solve(normal_map, steps), domain, self._domain.components)
 

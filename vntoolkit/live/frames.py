@@ -126,8 +126,7 @@ class LiveProcessor:
         self._step = max(1, -(-max(self.camera.width, self.camera.height) // depth_px))
         height, width = (n // self._step * self._step for n in (self.camera.height, self.camera.width))
         self.depth_camera = self.camera.cropped(slice(0, height), slice(0, width)).scaled(1 / self._step)
-        self._integration = reconstruction.integration
-        self._integrator = DepthIntegrator(self.depth_camera, self._integration)
+        self._integrator = self._new_integrator()
         self._anchor: DepthAnchor | None = None
 
     @property
@@ -140,7 +139,10 @@ class LiveProcessor:
         with contextlib.suppress(VntError):  # a dark one warms up too
             for _ in range(_WARMING):
                 self.process(frame)
-        self._integrator, self._anchor = DepthIntegrator(self.depth_camera, self._integration), None
+        self._integrator, self._anchor = self._new_integrator(), None
+
+    def _new_integrator(self) -> DepthIntegrator:
+        return DepthIntegrator(self.depth_camera, may_jump=self.rig.gel is None)
 
     def process(self, frame: EncodedFrame) -> LiveResult:
         """Return normals and depth of one frame; raise as `FrameProcessor.process` does."""

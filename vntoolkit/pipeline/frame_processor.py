@@ -351,7 +351,9 @@ class FrameProcessor:
     def _integrated(self, result: FrameResult, carried: Carried) -> DepthMap:
         from vntoolkit.integration.integrate import DepthIntegrator
 
-        carried.integrator = carried.integrator or DepthIntegrator(self.camera, self._options.integration)
+        carried.integrator = carried.integrator or DepthIntegrator(
+            self.camera, self._options.integration, may_jump=self._rig.gel is None
+        )
         steps, lamps = None, result.lamps
         if lamps is not None and result.labels is not None:
             from vntoolkit.integration.cast_shadows import steps_from_shadows
