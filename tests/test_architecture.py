@@ -85,12 +85,12 @@ LINES = {
     "normals": 1610,
     "options": 1700,
     "photometry": 1040,
-    "pipeline": 7640,
+    "pipeline": 7780,
     "report": 3120,
     "shadows": 3080,
     "simulation": 3570,
     "skinning": 2130,
-    "tactile": 1400,
+    "tactile": 1730,
     "tracking": 3570,
 }
 
