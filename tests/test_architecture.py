@@ -73,7 +73,7 @@ DOORS = {
 LINES = {
     "(root)": 1960,
     "calibration": 4720,
-    "cli": 3410,
+    "cli": 3430,
     "diagnosis": 4380,
     "evaluation": 1140,
     "geometry": 1800,
@@ -85,12 +85,12 @@ LINES = {
     "normals": 1610,
     "options": 1700,
     "photometry": 1040,
-    "pipeline": 7780,
+    "pipeline": 7830,
     "report": 3120,
     "shadows": 3080,
     "simulation": 3570,
     "skinning": 2130,
-    "tactile": 1730,
+    "tactile": 2100,
     "tracking": 3570,
 }
 
