@@ -36,11 +36,18 @@ def moved(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_track_follows_the_material_and_goes_on_where_it_stopped(moved: Path, capsys) -> None:
-    command = f"track {moved}/out --background {moved}/background.png".split()
+    command = f"track {moved}/out --background {moved}/background.png --object".split()
     assert main(command) == 0
     sequence = read_mesh_sequence(moved / "out" / "track")
     vertices_mm, uncertainty = 1000 * np.array(sequence.vertices), np.array(sequence.uncertainty_px)
     assert len(vertices_mm) == FRAMES
+    told = capsys.readouterr().out
+    assert f"object.csv: pose in {FRAMES} of {FRAMES} frames" in told
+    head, *rows = (moved / "out" / "track" / "object.csv").read_text().splitlines()
+    assert head.startswith("frame,contact,lost,x_mm")
+    # the ball stays, while the gel moves
+    place = np.array([row.split(",")[3:6] for row in rows], float)
+    assert np.abs(place).max() < 0.1
     step = np.diff(vertices_mm, axis=0)
     inner = (vertices_mm[0, :, 1] > -7) & (vertices_mm[0, :, 1] < 6) & (np.abs(vertices_mm[0, :, 0]) < 5)
     known = inner & np.isfinite(uncertainty).all(axis=0)

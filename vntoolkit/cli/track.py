@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from statistics import median
+from typing import TYPE_CHECKING
 
 from vntoolkit.cli.output import ProgressBars, print_next, say
 from vntoolkit.cli.verb import command, verb
@@ -18,6 +19,9 @@ from vntoolkit.pipeline.checkerboard import write_checkerboard
 from vntoolkit.pipeline.texture import write_texture
 from vntoolkit.pipeline.track import TrackJob, TrackSummary
 from vntoolkit.pipeline.track import track as run
+
+if TYPE_CHECKING:
+    from vntoolkit.tactile.pose import TrackedPose
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,6 +41,8 @@ class TrackArguments(MovedFootageOptions, TrackingOptions, CheckerboardOptions, 
     """A vertex is called lost where its expected error is above this, in pixels."""
     background: OptionalFile = named(None)
     """The background image that the reconstruction subtracted, for the colours of the texture."""
+    object: bool = False
+    """On a tactile gel: also write object.csv, the pose of what touches it, frame by frame."""
     overwrite: bool = False
     """Replace the tracks that the folder holds."""
 
@@ -61,6 +67,10 @@ def track(asked: TrackArguments) -> MeshSequence:
     with ProgressBars() as bars:
         begin = partial(bars.begin, "track")
         summary = run(job, overwrite=asked.overwrite, on_start=begin, on_frame=bars.step)
+    if asked.object:
+        from vntoolkit.pipeline.object_poses import write_object_poses
+
+        _report_poses(write_object_poses(job.folder, job.target))
     files = write_checkerboard(job.folder, job.target, asked.part(CheckerboardOptions))
     _report(summary)
     say(f"{files.video}, {files.sheet.name}")
@@ -69,6 +79,16 @@ def track(asked: TrackArguments) -> MeshSequence:
     say(f"{shown}: {made.covered:.1%} of the surface from {made.frames} frames, the rest filled")
     print_next("dress", job.target, "--motion", "data/walk.bvh", "--out", "cloth.usdc")
     return read_mesh_sequence(job.target)
+
+
+def _report_poses(poses: "list[TrackedPose]") -> None:
+    known = [pose for pose in poses if not pose.lost]
+    line = f"object.csv: pose in {len(known)} of {len(poses)} frames"
+    if known:
+        line += f", within {max(p.error_deg for p in known):.1f} degrees and "
+        line += f"{max(p.error_mm for p in known):.2f} mm; unobservable directions: "
+        line += f"{max(len(p.unobservable) for p in known)}"
+    say(line)
 
 
 track_command = command(track)
