@@ -24,7 +24,7 @@ import numpy as np
 from benchmarks.head_truth import HeadTruth
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.rigs import read_rig
-from vntoolkit.options.head import Features, FollowOptions, HeadOptions
+from vntoolkit.options.head import Features, HeadOptions
 from vntoolkit.options.simulation import SceneOptions
 from vntoolkit.photometry.fit_quality import angles_deg
 from vntoolkit.pipeline.calibrate import CalibrationJob
@@ -33,7 +33,7 @@ from vntoolkit.pipeline.simulate import SimulationFolder, SimulationJob, simulat
 
 
 def measure(folder: Path, source: str, frames: str, features: Features, camera: str) -> dict[str, Any]:
-    options = HeadOptions(following=FollowOptions(features=features))
+    options = HeadOptions(features=features)
     true_rig = read_rig(folder / "truth" / "rig.json")
     given = folder / "truth" / "rig.json" if camera == "true" else None
     job = CalibrationJob(source=source, camera=given, frames=FrameRange.from_text(frames))

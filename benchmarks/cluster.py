@@ -25,9 +25,9 @@ from pathlib import Path
 from benchmarks.pipeline import footage, options_of, rig_of
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.footage.video import write_video
+from vntoolkit.io.results.manifest import ReconstructionFolder
 from vntoolkit.options.normals import ShadowMethod
 from vntoolkit.pipeline.cluster import connected
-from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.reconstruct import BLOCK_FRAMES, reconstruct
 from vntoolkit.pipeline.request import Request
 

@@ -29,7 +29,7 @@ from vntoolkit.diagnosis.rig_checks import check_residual
 from vntoolkit.diagnosis.sharpness import findings_from_sharpness, fit_sharpness
 from vntoolkit.diagnosis.transfer_match import check_transfer_of_samples
 from vntoolkit.io.footage.captures import CaptureOptions, open_capture
-from vntoolkit.io.maps_and_meshes.label_images import read_mask
+from vntoolkit.io.maps_and_meshes.masks import read_mask
 from vntoolkit.io.rigs import read_rig
 from vntoolkit.options.simulation import Nuisances, SceneOptions
 from vntoolkit.photometry.frame import LinearFrame

@@ -26,7 +26,7 @@ from vntoolkit.arrays import Faces, FloatArray, Points, Vectors
 from vntoolkit.evaluation.track_error import anchors_on_mesh, visible
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.rays import RayScene, pixel_rays
-from vntoolkit.io.footage.images import write_png
+from vntoolkit.io.footage.image_writing import write_png
 from vntoolkit.io.rigs import write_rig
 from vntoolkit.options.tracking import LOST_PX
 from vntoolkit.pipeline.evaluate import read_object

@@ -24,7 +24,7 @@ from benchmarks.pipeline import (
 )
 from vntoolkit.io.footage.captures import open_capture
 from vntoolkit.io.footage.video import write_video
-from vntoolkit.io.maps_and_meshes.label_images import write_mask
+from vntoolkit.io.maps_and_meshes.masks import write_mask
 from vntoolkit.options.normals import ShadowMethod
 from vntoolkit.options.reconstruction import Product
 from vntoolkit.report.recipes_page import number, write_numbers

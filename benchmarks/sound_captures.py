@@ -23,8 +23,8 @@ import numpy as np
 
 from vntoolkit.errors import VntError
 from vntoolkit.geometry.camera import Camera
-from vntoolkit.io.footage.images import write_png
-from vntoolkit.io.results.manifest import read_manifest
+from vntoolkit.io.footage.image_writing import write_png
+from vntoolkit.io.results.manifest import ReconstructionFolder, read_manifest
 from vntoolkit.io.rigs import read_rig
 from vntoolkit.options.calibration import PressOptions
 from vntoolkit.options.normals import ShadowMethod
@@ -34,7 +34,6 @@ from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import Transfer, encoded_from_linear
 from vntoolkit.pipeline.calibrate_presses import PressJob, calibrate_presses
-from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.reconstruct import reconstruct
 from vntoolkit.pipeline.request import Request
 from vntoolkit.simulation.image_formation import true_response

@@ -13,10 +13,10 @@ from pathlib import Path
 
 import vntoolkit as vt
 from vntoolkit.evaluation.track_error import TrackError
-from vntoolkit.options.tracking import Tracker, TrackingOptions
+from vntoolkit.options.tracking import TrackArguments, Tracker
 from vntoolkit.pipeline.checkerboard import write_checkerboard
 from vntoolkit.pipeline.evaluate import evaluate_tracks, write_track_errors
-from vntoolkit.pipeline.track import TrackJob, track
+from vntoolkit.pipeline.track import track
 from vntoolkit.report.figures import write_error_plot, write_moments
 from vntoolkit.report.recipes_page import number, write_numbers
 
@@ -45,7 +45,7 @@ def compare(folder: Path, out: Path) -> dict[str, list[TrackError]]:
     errors, moments = {}, {}
     for method in COMPARED:
         target = out / method
-        track(TrackJob(folder=folder, options=TrackingOptions(method=Tracker(method)), out=target))
+        track(TrackArguments(folder, method=Tracker(method), out=target))
         moments[method] = write_checkerboard(folder, target).moments
         errors[method] = evaluate_tracks(target, out / "capture", every=10)
         write_track_errors(out / f"{method}.tsv", errors[method])

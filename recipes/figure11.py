@@ -52,9 +52,15 @@ def main(out: Path, motions: tuple[Path, ...] = (WALK,), track: Path | None = No
     cloth = simulated_sweater(out / "sweater") if track is None else read_tracked_cloth(track)
     for motion, (style, options) in itertools.product(motions, STYLES.items()):
         dressed, name = dress(cloth, read_motion(motion), options), f"{motion.stem}_{style}"
-        count = write_dressed_figure(dressed, out / f"{name}.usdc").frames
+        written, here = write_dressed_figure(dressed, out / f"{name}.usdc"), f"{motion.stem}, {style}"
         write_preview(out, name, dressed, PreviewOptions(turn_frames=60))
-        numbers.append(number(f"{motion.stem}, {style}: dressed frames written", count, "frames"))
+        found = written.findings
+        numbers += [
+            number(f"{here}: dressed frames written", written.frames, "frames"),
+            number(f"{here}: triangles stretched above 2x", 100 * float(found.stretched.mean()), "%"),
+            number(f"{here}: the same in the worst frame", 100 * float(found.stretched.max()), "%"),
+            number(f"{here}: arms off their sleeves' axes at most", float(found.off_axis.max()), "radii"),
+        ]
         print(f"{out / name}.usdc; see {name}_sheet.png, {name}_turntable.mkv")
     print(write_numbers(out, numbers))
 

@@ -4,6 +4,7 @@
 
 gel.jpg: touches of a tactile gel, their normals, and the depth in millimetres with the contact's outline.
 face.jpg: a face in make-up as captured, its normals, relief, and the mesh from the side.
+compared.jpg: that face, and the errors of two methods: inversion of M alone, and `reconstruct`.
 materials.jpg: a sweater with a printed logo, its materials, and normals without and with them.
 tracked.jpg: a checkerboard printed on one frame of a dancer's sweater, and where it is in later frames.
 dressed.jpg: that sweater on a walking figure; time runs to the right, a direction a row.
@@ -28,17 +29,21 @@ from PIL import Image
 
 import vntoolkit as vt
 from vntoolkit.arrays import FloatArray
+from vntoolkit.evaluation.angular_error import angular_error_map
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.io.atomic import write_bytes
-from vntoolkit.io.footage.images import encoded_image, resized_image
+from vntoolkit.io.footage.image_writing import encoded_image, resized_image
 from vntoolkit.io.footage.video import write_video
+from vntoolkit.io.maps_and_meshes.maps import read_normal_map
 from vntoolkit.pipeline.checkerboard import write_checkerboard
 from vntoolkit.pipeline.opened_result import OpenedResult
 from vntoolkit.report.mesh_views import View, picture_of
 from vntoolkit.report.pictures import (
+    ErrorScale,
     Picture,
     cropped,
     picture_of_depth,
+    picture_of_errors,
     picture_of_normals,
     pictures_of_frame,
     tiled,
@@ -52,9 +57,9 @@ LIVE_HZ = 2.0  # slow enough for the page to open
 BROWSER_FLAGS = ["--no-sandbox", "--disable-gpu", "--enable-unsafe-swiftshader"]
 
 
-def write_picture(path: Path, rows: list[dict[str, Picture]]) -> None:
+def write_picture(path: Path, rows: list[dict[str, Picture]], **more: Any) -> None:
     """Write rows of pictures under their headings as JPEG, and print the path."""
-    write_bytes(path, encoded_image(resized_image(tiled(rows), WIDTH_PX), ".jpg", quality=88))
+    write_bytes(path, encoded_image(resized_image(tiled(rows, **more), WIDTH_PX), ".jpg", quality=88))
     print(path, flush=True)
 
 
@@ -116,6 +121,24 @@ def face(out: Path, work: Path, size: str) -> None:
     row: dict[str, Picture] = dict(zip(names, cropped(maps, normal_map.mask, margin_px=8), strict=True))
     row["mesh, from the side"] = mesh_from_the_side(result, number, row["captured"])
     write_picture(out / "face.jpg", [row])
+    compare(out, work / "face_makeup", result)
+
+
+def compare(out: Path, film: Path, result: OpenedResult) -> None:
+    """Show the errors of M⁻¹(r − a) and of a result beside the true normals of a simulated capture."""
+    number, rig = result.numbers[0], vt.read_rig(film / "truth" / "rig.json")
+    frame = vt.open_capture(film / "capture.mkv", vt.CaptureOptions(transfer=rig.transfer)).frame(0)
+    truth = read_normal_map(next((film / "truth" / "normals").glob("*")))
+    row = {"captured": result.picture(number), "true normals": picture_of_normals(truth, 255)}
+    methods = {
+        "errors of M⁻¹(r − a)": vt.normals_from_frame(frame, rig.response, truth.mask),
+        "errors of reconstruct": result.normals(number),
+    }
+    for name, found in methods.items():
+        errors, both = angular_error_map(found, truth)
+        row[f"{name}: {errors[both].mean():.1f}°"] = picture_of_errors(errors, both, ErrorScale(most=40.0))
+    pictures = cropped(list(row.values()), truth.mask, margin_px=8)
+    write_picture(out / "compared.jpg", [dict(zip(row, pictures, strict=True))], scale=ErrorScale(most=40.0))
 
 
 def mesh_from_the_side(result: OpenedResult, number: int, like: Picture) -> Picture:

@@ -22,7 +22,7 @@ import numpy as np
 import vntoolkit as vt
 from vntoolkit.arrays import FloatArray
 from vntoolkit.evaluation.angular_error import angular_error_map, summarise_angles
-from vntoolkit.io.footage.images import write_png
+from vntoolkit.io.footage.image_writing import write_png
 from vntoolkit.io.maps_and_meshes.label_images import read_labels
 from vntoolkit.io.maps_and_meshes.maps import read_normal_map
 from vntoolkit.io.rigs import write_rig

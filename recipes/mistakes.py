@@ -18,7 +18,7 @@ import numpy as np
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.integration.integrate import DepthIntegrator
 from vntoolkit.io.atomic import write_bytes
-from vntoolkit.io.footage.images import encoded_image
+from vntoolkit.io.footage.image_writing import encoded_image
 from vntoolkit.meshing.surface import mesh_from_depth
 from vntoolkit.normals.inversion import normals_from_frame
 from vntoolkit.options.simulation import Nuisances, SceneOptions

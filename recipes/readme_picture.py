@@ -13,8 +13,8 @@ from pathlib import Path
 from PIL import Image
 
 from vntoolkit.io.atomic import write_bytes
-from vntoolkit.io.footage.images import encoded_image, resized_image
-from vntoolkit.pipeline.opened_result import OpenedResult, open_result
+from vntoolkit.io.footage.image_writing import encoded_image, resized_image
+from vntoolkit.pipeline.opened_result import OpenedResult, read_result
 from vntoolkit.report.mesh_views import View, picture_of
 from vntoolkit.report.pictures import cropped, picture_of_depth, picture_of_normals, tiled
 
@@ -33,7 +33,7 @@ def main() -> None:
     parser.add_argument("--footage", default="", help="where the demo's footage is now, if it was moved")
     parser.add_argument("--out", type=Path, default=Path("docs/pipeline.jpg"))
     arguments = parser.parse_args()
-    result = open_result(arguments.demo / "reconstruction", footage=arguments.footage)
+    result = read_result(arguments.demo / "reconstruction", footage=arguments.footage)
     result.capture  # noqa: B018 - raises, with the remedy, where the footage is not there
     number = result.numbers[len(result.numbers) // 2]
     normal_map, depth_map, mesh = result.normals(number), result.depth(number), result.mesh(number)

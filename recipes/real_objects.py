@@ -28,7 +28,7 @@ from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.io.atomic import write_text
 from vntoolkit.io.files import read_bytes, require_file
 from vntoolkit.io.footage.images import read_image
-from vntoolkit.io.maps_and_meshes.label_images import read_mask
+from vntoolkit.io.maps_and_meshes.masks import read_mask
 from vntoolkit.normals.inversion import normals_from_frame
 from vntoolkit.photometry.frame import LinearFrame, count_lit, labels_from_lit
 from vntoolkit.photometry.response import LightResponse

@@ -142,6 +142,14 @@ wheel="$install"'
     vntoolkit recipe run figure02 --quick
     vntoolkit track demo/reconstruction
     vntoolkit dress demo/reconstruction/track --motion data/walk.bvh --out cloth.usdc
+    for part in "rest 0:1" "presses 1:13" "touch 37:40"; do
+        set -- $part
+        vntoolkit simulate gel --out "$1" --frames "$2" --size 320x240 --samples 1
+    done
+    vntoolkit calibrate presses presses/capture.mkv --background rest/capture.mkv --ball-radius-mm 2.4 \
+        --pixel-mm 0.05 --out gel.json
+    vntoolkit reconstruct touch/capture.mkv --rig gel.json --background rest/capture.mkv --to depth --out touched
+    cat touched/contact.csv
 '
 # The photographs are rendered first; that is not in the time.
 walk='

@@ -7,17 +7,17 @@ import numpy as np
 import pytest
 
 from tests.pipeline.conftest import write_dome_capture
-from vntoolkit.io.footage.images import write_png
+from vntoolkit.io.footage.image_writing import write_png
+from vntoolkit.io.results.manifest import ReconstructionFolder
 from vntoolkit.options.normals import ShadowMethod
 from vntoolkit.options.reconstruction import OnError, ReconstructOptions
-from vntoolkit.options.tracking import TrackingOptions
+from vntoolkit.options.tracking import TrackArguments
 from vntoolkit.photometry.rig import FitQuality
 from vntoolkit.pipeline.checkerboard import write_checkerboard
-from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.reconstruct import reconstruct
 from vntoolkit.pipeline.request import Request
 from vntoolkit.pipeline.texture import write_texture
-from vntoolkit.pipeline.track import TrackJob, track
+from vntoolkit.pipeline.track import track
 
 HOSTILE = '<b>dome & "co"'
 SKIPPED = 3
@@ -44,7 +44,7 @@ def dome_result(tmp_path_factory: pytest.TempPathFactory) -> DomeResult:
         folder=ReconstructionFolder(root=root / "out"),
     )
     reconstruct(job)
-    track(TrackJob(folder=root / "out", options=TrackingOptions()))
+    track(TrackArguments(root / "out"))
     write_checkerboard(root / "out")
     write_texture(root / "out")
     return DomeResult(folder=root / "out", footage=footage)

@@ -10,7 +10,7 @@ from PIL import Image
 
 import vntoolkit as vt
 from vntoolkit.errors import BadInput
-from vntoolkit.io.footage.images import write_png
+from vntoolkit.io.footage.image_writing import write_png
 
 CAMERA = vt.Camera.orthographic(width=40, height=30)
 MATRIX = [[0.35, -0.02, -0.5], [-0.17, 0.3, -0.48], [-0.15, -0.28, -0.52]]

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from vntoolkit.__main__ import main
-from vntoolkit.pipeline.opened_result import open_result
+from vntoolkit.pipeline.opened_result import read_result
 from vntoolkit.pipeline.truth_comparison import compare_with_truth, light_errors_deg
 
 
@@ -16,7 +16,7 @@ def test_the_demonstration_reconstructs_what_it_simulated(tmp_path, capsys):
     printed = capsys.readouterr().out
     assert str(out / "report.html") in printed
 
-    result = open_result(out / "reconstruction")
+    result = read_result(out / "reconstruction")
     assert light_errors_deg(result.rig.response, out / "sweater").max() < 2.0  # degrees, M's rows
     for frame in compare_with_truth(result, out / "sweater"):
         assert frame.normals.median_deg < 7.0  # near lights over 1.4 m and a knit of two pixels; measured 5.6

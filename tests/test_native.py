@@ -11,7 +11,7 @@ from vntoolkit.native import njit
 
 SCRIPT = """
 import sys
-from vntoolkit.native import import_open3d
+from vntoolkit.libraries import import_open3d
 o3d = import_open3d()
 assert "dash" not in sys.modules
 box = o3d.geometry.TriangleMesh.create_box()

@@ -1,26 +1,31 @@
 """The site: every finding has its section, every public name its place, every command runs as printed.
 
-The pages run in the order of the navigation, in one folder that holds, at 640×480, board.mkv (the calibration
-board), ball.mkv (a matte ball) and capture.mkv (a sweater): what one page makes, the next may read.
+The pages run in the order of the navigation, in one folder that holds board.mkv (the calibration board),
+ball.mkv (a matte ball), capture.mkv (a sweater) and touch.mkv (touches of a gel): what one page makes, the
+next may read. A printed "next: vntoolkit …" runs in a copy of the folder.
 """
 
 import importlib.util
 import re
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
 
 import vntoolkit
-from tests.readme_commands import ROOT, run_step, steps_of
+from tests.readme_commands import ROOT, Step, next_of, run_next, run_step, steps_of
 from tests.test_readme import film
 from vntoolkit import errors
+from vntoolkit.__main__ import main
 from vntoolkit.cli import GROUPS, VERBS
 from vntoolkit.diagnosis.table import CHECK_NAMES
+from vntoolkit.shipped import guide_section
 
 DOCS = ROOT / "docs"
 NAVIGATION = re.findall(r"^ +- .*: (\w+\.md)$", (ROOT / "mkdocs.yml").read_text(), flags=re.MULTILINE)
 FILMED = {"board.mkv": ("board", "::15"), "ball.mkv": ("sphere", "0:1"), "capture.mkv": ("sweater", "0:3")}
+FOLLOWED: set[str] = set()  # commands that a printed "next" named, and that were run
 
 
 def findings_hook():
@@ -45,6 +50,18 @@ def test_every_error_names_a_section_of_the_guide() -> None:
     kinds = [kind for kind in vars(errors).values() if isinstance(kind, type) and kind.__dict__.get("page")]
     assert {kind.page for kind in kinds} == {f"docs/wrong.md#{name}" for name in headings}
     assert not errors.BadInput.page  # its message says all
+
+
+def test_messages_name_the_page_that_is_there_and_the_report_tells_its_sections(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["doctor", "nowhere.mkv"]) == 1
+    page, _, section = re.search(r"see (\S+)", capsys.readouterr().err)[1].partition("#")
+    assert f"{{ #{section} }}" in Path(page).read_text()
+    assert all(guide_section(name) for name in CHECK_NAMES)
+    wheel = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["hatch"]["build"]["targets"]["wheel"]
+    assert wheel["force-include"]["docs/wrong.md"] == "vntoolkit/docs/wrong.md"
 
 
 def test_every_public_name_is_in_the_reference() -> None:
@@ -78,11 +95,22 @@ def test_the_licences_are_those_of_the_lock() -> None:
     assert sorted(set(pinned)) == [name for name in listed if name != "package"]
 
 
+def test_the_version_is_one() -> None:
+    cited = re.search(r"(?m)^version: (\S+)$", (ROOT / "CITATION.cff").read_text())
+    assert cited[1] == vntoolkit.__version__
+    major, minor, _ = vntoolkit.__version__.split(".")
+    released = re.search(r"(?m)^## (\d+)\.(\d+)", (ROOT / "CHANGELOG.md").read_text())
+    assert released is None or released.groups() == (major, minor)
+
+
 @pytest.fixture(scope="module")
 def studio(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("site")
     for name, (scene, frames) in FILMED.items():
         film(folder, name, scene, frames)
+    touch = "vntoolkit simulate gel --out .gel --frames 37:39 --size 320x240 --samples 1"
+    run_step(Step("sh", touch, 0), folder)
+    (folder / ".gel" / "capture.mkv").rename(folder / "touch.mkv")
     return folder
 
 
@@ -90,7 +118,12 @@ def studio(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize(
     "page", [p for p in NAVIGATION if any(s.is_run for s in steps_of((DOCS / p).read_text()))]
 )
-def test_every_command_of_a_page_runs(page: str, studio: Path) -> None:
+def test_every_command_of_a_page_runs_and_so_does_the_next_one(
+    page: str, studio: Path, tmp_path: Path
+) -> None:
     for step in steps_of((DOCS / page).read_text()):
         if step.is_run:
-            run_step(step, studio)
+            for following in next_of(run_step(step, studio)):
+                if following.is_run and following.text not in FOLLOWED:
+                    FOLLOWED.add(following.text)
+                    run_next(following, studio, tmp_path / "copy")

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from vntoolkit import native
+from vntoolkit import libraries
 from vntoolkit.calibration.ball_outline import Circle
 from vntoolkit.calibration.fit import fit_response
 from vntoolkit.calibration.sphere import sphere_normals
@@ -161,19 +161,19 @@ def test_a_stage_refuses_by_a_line_what_it_cannot_work_on(tmp_path, monkeypatch,
 
 def test_libraries_that_are_not_there_are_named_with_the_line_that_installs_them(monkeypatch):
     lacked = {"libGL.so.1": "libgl1", "libEGL.so.1": "libegl1"}
-    monkeypatch.setattr(native, "missing_libraries", lambda libraries: lacked)
+    monkeypatch.setattr(libraries, "missing_libraries", lambda libraries: lacked)
     monkeypatch.delitem(sys.modules, "open3d", raising=False)
     with pytest.raises(
         MissingDependency,
         match=r"open3d needs libGL.so.1, libEGL.so.1, .*: sudo apt-get install libegl1 libgl1",
     ):
-        native.import_open3d()
-    monkeypatch.setattr(native, "missing_libraries", lambda libraries: {})
+        libraries.import_open3d()
+    monkeypatch.setattr(libraries, "missing_libraries", lambda libraries: {})
     monkeypatch.setitem(sys.modules, "open3d", None)
     with pytest.raises(
         MissingDependency, match=r"cannot import open3d .*: pip install --force-reinstall open3d"
     ):
-        native.import_open3d()
+        libraries.import_open3d()
 
 
 @pytest.mark.parametrize(
@@ -192,7 +192,7 @@ def test_a_library_that_only_the_loader_names_is_named(monkeypatch, said, line):
     def refuse(module):
         raise ImportError(said)
 
-    monkeypatch.setattr(native, "missing_libraries", lambda libraries: {})
-    monkeypatch.setattr(native.importlib, "import_module", refuse)
+    monkeypatch.setattr(libraries, "missing_libraries", lambda libraries: {})
+    monkeypatch.setattr(libraries.importlib, "import_module", refuse)
     with pytest.raises(MissingDependency, match=rf"pymeshlab needs {said.split(':')[0]}, .*: {line}"):
-        native.import_pymeshlab()
+        libraries.import_pymeshlab()

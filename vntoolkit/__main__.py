@@ -138,9 +138,10 @@ def _began_with_interrupt(error: BaseException | None) -> bool:
 
 def _fail(message: str, status: int = 1) -> int:
     from vntoolkit.errors import printable_line
+    from vntoolkit.shipped import with_guide
 
     with contextlib.suppress(OSError):
-        print(f"vntoolkit: {printable_line(message)}", file=sys.stderr)
+        print(f"vntoolkit: {printable_line(with_guide(message))}", file=sys.stderr)
     return status
 
 

@@ -10,7 +10,7 @@ from vntoolkit.calibration.head.tracks import Tracks
 from vntoolkit.errors import BadCalibration, BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.rigid import RigidTransform
-from vntoolkit.options.head import PoseOptions
+from vntoolkit.options.head import HeadSteps
 
 FAR = Camera.pinhole(width=640, height=480, focal_px=8000.0)
 NEAR = Camera.pinhole(width=640, height=480, focal_px=900.0)
@@ -27,7 +27,7 @@ def rotation_errors_deg(found, true):
 def test_exact_tracks_give_exact_poses_and_points(camera, distance):
     points, poses = turning_ball(camera, distance)
     tracks = tracks_of(points, poses, camera, noise_px=0.0)
-    motion = solve_head_motion(tracks, camera, PoseOptions(), np.random.default_rng(0))
+    motion = solve_head_motion(tracks, camera, HeadSteps(), np.random.default_rng(0))
     assert rotation_errors_deg(motion.camera_from_head, poses).max() < 0.01
     assert motion.error_px < 0.01
     assert not motion.interpolated.any()
@@ -55,7 +55,7 @@ def test_pixel_centres_move_by_half_a_pixel_to_colmap_and_back():
 def test_noise_gives_as_much_error_as_it_must():
     points, poses = turning_ball(FAR, 5.0)
     tracks = tracks_of(points, poses, FAR, noise_px=0.3)
-    motion = solve_head_motion(tracks, FAR, PoseOptions(), np.random.default_rng(0))
+    motion = solve_head_motion(tracks, FAR, HeadSteps(), np.random.default_rng(0))
     errors = rotation_errors_deg(motion.camera_from_head, poses)
     # 0.3 px on a radius of 160 px is 0.1 degrees a point; some 150 points a frame average it
     assert 0.003 < errors.mean() < 0.1
@@ -74,7 +74,7 @@ def test_a_guessed_focal_length_leaves_pixels_square():
     ]
     tracks = tracks_of(points, upright, FAR, noise_px=0.3)
     guess = Camera.pinhole(width=640, height=480, focal_px=0.9 * 8000.0)
-    motion = solve_head_motion(tracks, guess, PoseOptions(), np.random.default_rng(0), refine_focal=True)
+    motion = solve_head_motion(tracks, guess, HeadSteps(), np.random.default_rng(0), refine_focal=True)
     assert motion.camera.matrix[0, 0] == motion.camera.matrix[1, 1]
     found = np.ptp(motion.points_in_head, axis=0)
     assert found[1] / found[0] == pytest.approx(
@@ -94,7 +94,7 @@ def test_wrong_tracks_are_rejected():
         positions_px=tracks.positions_px + drift,
         frame_count=tracks.frame_count,
     )
-    motion = solve_head_motion(moved, FAR, PoseOptions(), np.random.default_rng(0))
+    motion = solve_head_motion(moved, FAR, HeadSteps(), np.random.default_rng(0))
     assert rotation_errors_deg(motion.camera_from_head, poses).mean() < 0.1
 
 
@@ -121,16 +121,14 @@ def test_unplaced_frames_are_interpolated_and_marked():
         positions_px=tracks.positions_px[kept],
         frame_count=tracks.frame_count,
     )
-    motion = solve_head_motion(fewer, FAR, PoseOptions(), np.random.default_rng(0))
+    motion = solve_head_motion(fewer, FAR, HeadSteps(), np.random.default_rng(0))
     assert motion.interpolated.nonzero()[0].tolist() == [10]
     assert rotation_errors_deg(motion.camera_from_head, poses)[10] < 0.3
 
 
 def test_a_narrow_turn_is_warned_of(caplog):
     points, poses = turning_ball(FAR, 5.0, widest_deg=25.0)
-    solve_head_motion(
-        tracks_of(points, poses, FAR, noise_px=0.0), FAR, PoseOptions(), np.random.default_rng(0)
-    )
+    solve_head_motion(tracks_of(points, poses, FAR, noise_px=0.0), FAR, HeadSteps(), np.random.default_rng(0))
     assert "the head turns by only 50 degrees in all" in caplog.text
     assert "60 degrees each" in caplog.text
 
@@ -139,7 +137,7 @@ def test_refusals():
     points, poses = turning_ball(FAR, 5.0, widest_deg=12.0)
     tracks = tracks_of(points, poses, FAR, noise_px=0.05)
     with pytest.raises(BadCalibration, match=r"poses: the head turns by only 2\d degrees"):
-        solve_head_motion(tracks, FAR, PoseOptions(), np.random.default_rng(0))
+        solve_head_motion(tracks, FAR, HeadSteps(), np.random.default_rng(0))
     camera = Camera.orthographic(width=640, height=480)
     with pytest.raises(BadInput, match="perspective"):
-        solve_head_motion(tracks, camera, PoseOptions(), np.random.default_rng(0))
+        solve_head_motion(tracks, camera, HeadSteps(), np.random.default_rng(0))

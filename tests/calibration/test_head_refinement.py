@@ -21,7 +21,7 @@ from vntoolkit.calibration.head.refinement import refine_head, thinned
 from vntoolkit.calibration.head.samples import LightFrame, SkinColours
 from vntoolkit.calibration.head.skin import SkinLight, SkinNormals, skin_normals
 from vntoolkit.geometry.mesh import Mesh, vertex_normals
-from vntoolkit.options.head import LightOptions
+from vntoolkit.options.head import HeadSteps
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
 
@@ -65,7 +65,7 @@ def refined(rippled):
     light = HeadLight(
         response=response, quality=quality, inliers=nothing, shadowed=nothing, albedo=np.zeros((0, 3))
     )
-    return refine_head(rippled, SMALL, frames, light, LightOptions(), rng)
+    return refine_head(rippled, SMALL, frames, light, HeadSteps(), rng)
 
 
 def errors(mesh):

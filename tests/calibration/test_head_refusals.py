@@ -13,7 +13,7 @@ from vntoolkit.calibration.head.tracks import Tracks, require_tracks
 from vntoolkit.errors import BadCalibration
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.rigid import RigidTransform
-from vntoolkit.options.head import LightOptions, SilhouetteOptions
+from vntoolkit.options.head import HeadSteps
 
 CAMERA = Camera.pinhole(width=64, height=48, focal_px=100.0)
 
@@ -50,9 +50,9 @@ def test_an_uneven_backdrop_is_warned_of(caplog):
     )
     for backdrop in (still, moving):
         backdrop[20:50, 30:60] = 0.6
-    require_head([find_silhouette(still, SilhouetteOptions())] * 9)
+    require_head([find_silhouette(still)] * 9)
     assert not caplog.text
-    require_head([find_silhouette(moving, SilhouetteOptions())] * 9)
+    require_head([find_silhouette(moving)] * 9)
     assert re.search(r"it varies by \d\.\d % of the subject's brightness", caplog.text)
     assert "film before a plain, dark, unlit backdrop" in caplog.text
 
@@ -114,4 +114,4 @@ def test_skin_that_tells_no_light(rng):
         samples_of(normals, rng.uniform(0.1, 1, (400, 3))),
     ):
         with pytest.raises(BadCalibration, match=r"light: only \d+% .* agree on one light response; check"):
-            fit_light(samples, None, LightOptions(), rng)
+            fit_light(samples, None, HeadSteps(), rng)

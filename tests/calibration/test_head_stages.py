@@ -29,7 +29,7 @@ from vntoolkit.calibration.head.tracks import TrackBuilder, local_contrast
 from vntoolkit.errors import BadCalibration
 from vntoolkit.geometry.mesh import Mesh, vertex_normals
 from vntoolkit.options.calibration import ResponseModel
-from vntoolkit.options.head import HullOptions, LightOptions, SilhouetteOptions, TrackOptions
+from vntoolkit.options.head import HeadSteps
 
 POSES = turning_poses(13, 80.0)
 
@@ -53,7 +53,7 @@ def test_a_shifted_pattern_is_followed_to_a_fraction_of_a_pixel():
         return np.clip(127.5 + 32 * np.sum(waves, axis=0), 0, 255).astype(np.uint8)
 
     mask = np.ones((120, 160), np.bool_)
-    builder = TrackBuilder(options=TrackOptions(corners=60))
+    builder = TrackBuilder(steps=HeadSteps(corners=60))
     for k in range(6):
         builder.add(image(0.7 * k), mask)
     tracks = builder.finish()
@@ -65,7 +65,7 @@ def test_a_shifted_pattern_is_followed_to_a_fraction_of_a_pixel():
 
 
 def test_silhouette_is_the_eggs_outline():
-    found = find_silhouette(render_egg(POSES[6]), SilhouetteOptions())
+    found = find_silhouette(render_egg(POSES[6]))
     area = np.pi * AXES[0] * AXES[1] * (CAMERA.matrix[0, 0] / DISTANCE) ** 2
     # dark skin at the rim, where no light arrives, may be lost; blur may add half a pixel
     assert 0.97 * area < found.mask.sum() < 1.03 * area
@@ -80,7 +80,7 @@ def test_silhouette_follows_the_edge_of_bright_skin_and_of_dark_hair(glow):
     light = np.where(u < 0, 0.6, 0.02) * (np.hypot(u, v) < 80)
     lens = gaussian_filter(light, 0.9) + 0.004 + glow * np.exp(-np.hypot(u, v) / 100)
     noise = np.random.default_rng(3).normal(0, 0.0015, (240, 240, 3))
-    found = find_silhouette((lens[..., None] + noise).astype(np.float32), SilhouetteOptions())
+    found = find_silhouette((lens[..., None] + noise).astype(np.float32))
     for half in (u < -3, u > 3):
         exact = (half & (np.hypot(u, v) < 80)).sum()
         assert abs(found.mask[half].sum() - exact) / (np.pi * 80) < 0.35  # px along its half of the contour
@@ -99,7 +99,7 @@ def egg_views(poses):
 def test_hull_holds_the_egg_and_hardly_more():
     views = egg_views(turning_poses(24, 172.0))
     box = Box(low=-1.3 * AXES, high=1.3 * AXES)
-    hull = mesh_of_grid(fit_hull(views, box, HullOptions(hull_cells=48)))
+    hull = mesh_of_grid(fit_hull(views, box, HeadSteps(hull_cells=48)))
     radii = np.linalg.norm(hull.vertices / AXES, axis=1)
     pixel = DISTANCE / CAMERA.matrix[0, 0] / AXES.min()
     assert radii.min() > 1 - 1.5 * pixel
@@ -112,7 +112,7 @@ def test_hull_refuses_silhouettes_that_contradict_each_other():
     views = egg_views(POSES[:2])
     empty = SilhouetteView(camera=CAMERA, camera_from_head=POSES[2], mask=np.zeros_like(views[0].mask))
     with pytest.raises(BadCalibration, match="hull: no point"):
-        fit_hull([*views, empty], Box(low=-AXES, high=AXES), HullOptions(hull_cells=24))
+        fit_hull([*views, empty], Box(low=-AXES, high=AXES), HeadSteps(hull_cells=24))
 
 
 def test_neighbours_lie_to_both_sides_also_beyond_half_a_turn():
@@ -169,7 +169,7 @@ def ball_mesh(directions):
 def test_light_is_found_through_noise_other_albedo_and_outliers(wrong, outliers):
     rng = np.random.default_rng(4)
     samples, rays = ball_samples(rng, wrong=wrong, outliers=outliers)
-    found = fit_light(samples, rays, LightOptions(light_draws=600), rng)
+    found = fit_light(samples, rays, HeadSteps(light_draws=600), rng)
     assert relative_error(found.response.matrix) < 0.03
     assert found.quality.residual_deg > 1.0  # the normals are wrong by 3 degrees a component, and it says so
 
@@ -177,8 +177,7 @@ def test_light_is_found_through_noise_other_albedo_and_outliers(wrong, outliers)
 def test_ambient_light_is_found_on_skin_of_one_albedo():
     rng = np.random.default_rng(4)
     samples, rays = ball_samples(rng, ambient=0.15, noise_deg=1.0)
-    options = LightOptions(light_model=ResponseModel.AMBIENT, light_draws=600)
-    found = fit_light(samples, rays, options, rng)
+    found = fit_light(samples, rays, HeadSteps(light_draws=600), rng, ResponseModel.AMBIENT)
     assert relative_error(found.response.matrix) < 0.05
     np.testing.assert_allclose(found.response.ambient, 0.15, atol=0.02)
 
@@ -187,7 +186,7 @@ def test_light_refuses_colours_that_mean_nothing():
     rng = np.random.default_rng(4)
     samples, rays = ball_samples(rng, outliers=1.0)
     with pytest.raises(BadCalibration, match="light: "):
-        fit_light(samples, rays, LightOptions(light_draws=300, light_inlier=0.05), rng)
+        fit_light(samples, rays, HeadSteps(light_draws=300, light_inlier=0.05), rng)
 
 
 def test_points_are_spread_over_orientations_not_over_area():

@@ -14,7 +14,7 @@ from vntoolkit.calibration.head.tracks import local_contrast
 from vntoolkit.errors import BadCalibration
 from vntoolkit.geometry.camera import Camera, CameraModel
 from vntoolkit.geometry.rigid import RigidTransform
-from vntoolkit.options.head import Features, FusionOptions, HullOptions, PoseOptions, StereoOptions
+from vntoolkit.options.head import Features, HeadSteps
 from vntoolkit.pipeline.calibrate import CalibrationJob
 from vntoolkit.pipeline.calibrate_head import calibrate_head
 
@@ -104,9 +104,9 @@ def test_default_stereo_fits_silhouettes_and_neighbouring_photographs(
 ):
     views, images, box = load(real_data / "turntable" / name)
     contrasts = [local_contrast(image) for image in images]
-    grid = fit_hull(views, box, HullOptions(hull_cells=cells))
-    rough = fit_shape(views, contrasts, grid, StereoOptions(), FusionOptions())
-    mesh = fit_shape(views, contrasts, grid, StereoOptions().closely(), FusionOptions(), about=rough)
+    grid = fit_hull(views, box, HeadSteps(hull_cells=cells))
+    rough = fit_shape(views, contrasts, grid, HeadSteps())
+    mesh = fit_shape(views, contrasts, grid, HeadSteps().closely(), about=rough)
     whole = slice(0, 480), slice(0, 640)
     overlaps = []
     for view in views:
@@ -133,7 +133,7 @@ def poses_from_images(views, images):
     tracks = builder.finish()
     require_features(tracks)
     rng = np.random.default_rng(0)
-    return solve_head_motion(tracks, views[0].camera, PoseOptions(), rng, features=Features.SIFT)
+    return solve_head_motion(tracks, views[0].camera, HeadSteps(), rng, features=Features.SIFT)
 
 
 @pytest.mark.slow

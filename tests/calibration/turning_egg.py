@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.rigid import RigidTransform
-from vntoolkit.io.footage.images import write_png
+from vntoolkit.io.footage.image_writing import write_png
 
 AXES = np.array([0.085, 0.11, 0.10])
 CAMERA = Camera.pinhole(width=320, height=240, focal_px=1600.0)

@@ -8,7 +8,7 @@ import pytest
 import vntoolkit as vt
 from vntoolkit.__main__ import main
 from vntoolkit.errors import BadInput
-from vntoolkit.io.footage.images import write_png
+from vntoolkit.io.footage.image_writing import write_png
 from vntoolkit.io.rigs import write_rig
 
 MATRIX = [[0.35, -0.02, -0.5], [-0.17, 0.3, -0.48], [-0.15, -0.28, -0.52]]

@@ -29,7 +29,7 @@ def test_the_list_gives_each_verb_a_line(capsys, monkeypatch):
             "simulate",
             "board_sweep, sphere, gel, jacket, sweater, sweater_stripes, sweater_logo",
         ),
-        ("calibrate head", "raise it where hollows such as eye sockets come out filled"),
+        ("calibrate head", "variation of albedo passes for ambient light"),
         ("export", "The same command again continues an interrupted run"),
         ("evaluate tracks", "A vertex counts in a frame if its true point is visible there"),
     ],

@@ -9,7 +9,7 @@ import pytest
 
 from vntoolkit.__main__ import main
 from vntoolkit.cli import doctor
-from vntoolkit.native import NUMBA_LIBRARIES, OPEN3D_LIBRARIES, PYMESHLAB_LIBRARIES
+from vntoolkit.libraries import NUMBA_LIBRARIES, OPEN3D_LIBRARIES, PYMESHLAB_LIBRARIES
 
 ROOT = Path(__file__).resolve().parents[2]
 LOCK = ROOT / "requirements.lock"

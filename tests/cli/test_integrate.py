@@ -9,9 +9,9 @@ from vntoolkit.cli import run_verb
 from vntoolkit.cli.integrate import integrate
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
-from vntoolkit.io.footage.images import write_png
+from vntoolkit.io.footage.image_writing import write_png
 from vntoolkit.io.maps_and_meshes.exr import write_exr
-from vntoolkit.io.maps_and_meshes.label_images import write_mask
+from vntoolkit.io.maps_and_meshes.masks import write_mask
 from vntoolkit.options.export import NormalConvention
 
 SIZE, RADIUS = 96, 40.0

@@ -14,14 +14,15 @@ from vntoolkit.errors import BadCapture, BadInput, BadMesh
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.mesh import Mesh, MeshSequence
 from vntoolkit.io.files import limited_to, reading_limits
-from vntoolkit.io.footage.images import read_image, write_png
+from vntoolkit.io.footage.image_writing import write_png
+from vntoolkit.io.footage.images import read_image
 from vntoolkit.io.maps_and_meshes.meshes import read_mesh, read_point_cloud, write_mesh
+from vntoolkit.io.results.manifest import ReconstructionFolder
 from vntoolkit.io.rigs import read_rig, write_rig
 from vntoolkit.options.footage import ReadingLimits
 from vntoolkit.options.reconstruction import ReconstructOptions
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.rig import Rig
-from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.request import Request
 
 PIXELS, VERTICES = "--max-megapixels", "--max-vertices"

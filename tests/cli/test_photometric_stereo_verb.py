@@ -7,8 +7,8 @@ from vntoolkit.cli import run_verb
 from vntoolkit.cli.photometric_stereo import photometric_stereo
 from vntoolkit.errors import BadInput
 from vntoolkit.evaluation.angular_error import angles_between_deg
-from vntoolkit.io.footage.images import write_png
-from vntoolkit.io.maps_and_meshes.label_images import write_mask
+from vntoolkit.io.footage.image_writing import write_png
+from vntoolkit.io.maps_and_meshes.masks import write_mask
 
 SIZE, COUNT, NOISE = 64, 12, 0.004
 

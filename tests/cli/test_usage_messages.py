@@ -5,7 +5,7 @@ import pytest
 
 from vntoolkit.__main__ import main
 from vntoolkit.geometry.camera import Camera
-from vntoolkit.io.footage.images import write_png
+from vntoolkit.io.footage.image_writing import write_png
 from vntoolkit.io.rigs import write_rig
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.rig import Rig

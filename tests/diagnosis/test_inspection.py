@@ -11,9 +11,10 @@ from vntoolkit.diagnosis.finding import Level
 from vntoolkit.diagnosis.inspection import findings_from_clipping, inspect_capture
 from vntoolkit.diagnosis.rig_checks import check_camera
 from vntoolkit.geometry.camera import Camera, CameraModel
-from vntoolkit.io.footage.images import read_image, write_png
+from vntoolkit.io.footage.image_writing import write_png
+from vntoolkit.io.footage.images import read_image
 from vntoolkit.io.footage.video import write_video
-from vntoolkit.io.maps_and_meshes.label_images import read_mask
+from vntoolkit.io.maps_and_meshes.masks import read_mask
 from vntoolkit.io.rigs import write_rig
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse, rgb_from_normals

@@ -13,7 +13,7 @@ from vntoolkit.diagnosis.lamp_nearness import Nearness, fit_nearness
 from vntoolkit.diagnosis.white_balance import check_changing_gains
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.io.footage.captures import open_capture
-from vntoolkit.io.footage.images import write_png
+from vntoolkit.io.footage.image_writing import write_png
 from vntoolkit.normals.inversion import normals_from_frame
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse, rgb_from_normals, with_near_lamps

@@ -8,14 +8,14 @@ import pytest
 from tests.faults.simulated_captures import H, W, simulate_capture
 from vntoolkit.__main__ import main
 from vntoolkit.calibration.fit import fit_response
-from vntoolkit.diagnosis.inspection import examine_capture
+from vntoolkit.diagnosis.inspection import examine_capture, inspect_capture
 from vntoolkit.diagnosis.outline import finding_from_axes, warn_of_flipped_axes
 from vntoolkit.diagnosis.rig_checks import check_coverage
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.io.footage.captures import CaptureOptions, open_capture
-from vntoolkit.io.footage.images import write_png
-from vntoolkit.io.maps_and_meshes.label_images import write_mask
+from vntoolkit.io.footage.image_writing import write_png
 from vntoolkit.io.maps_and_meshes.maps import read_normal_map, write_normal_map
+from vntoolkit.io.maps_and_meshes.masks import write_mask
 from vntoolkit.io.results.manifest import read_manifest
 from vntoolkit.io.rigs import write_rig
 from vntoolkit.options.simulation import Nuisances, RenderOptions, SceneOptions
@@ -91,7 +91,8 @@ def test_drift_while_filming_is_found_on_the_static_part(tmp_path, what):
         capture = simulate_capture(seed, count=6, backdrop=True)
         frames, curve = spoil(capture.frames, np.random.default_rng(seed))
         folder = _stored(tmp_path / str(seed), frames, curve)
-        hits += any(text in finding.text for finding in _findings(folder, capture.rig, capture.subject))
+        found = inspect_capture(folder, rig=capture.rig, mask=capture.subject).findings
+        hits += any(text in finding.text for finding in found)
     assert hits >= 9
 
 

@@ -9,7 +9,7 @@ from tests.faults.simulated_captures import random_response
 from vntoolkit.diagnosis.steps import Steps, steps_of
 from vntoolkit.diagnosis.subject import survey_of
 from vntoolkit.io.footage.captures import open_capture
-from vntoolkit.io.footage.images import write_png
+from vntoolkit.io.footage.image_writing import write_png
 from vntoolkit.io.footage.mattes import Mattes
 from vntoolkit.photometry.response import LightResponse, rgb_from_normals
 

@@ -86,7 +86,7 @@ def test_hidden_points_are_not_judged() -> None:
 def test_other_frames_are_refused() -> None:
     anchors = anchors_on_mesh(PIXELS, CORNERS, FACES, CAMERA)
     points = anchors.points(CORNERS)
-    with pytest.raises(BadInput, match="tracked frame 1 met true frame 2"):
+    with pytest.raises(BadInput, match="expected the true frame 1, got frame 2"):
         list(track_errors([tracked(1, points)], [(2, CORNERS)], anchors, FACES, CAMERA))
     with pytest.raises(BadInput, match="lost_px: expected a positive number, got -1"):
         list(track_errors([], [], anchors, FACES, CAMERA, -1.0))

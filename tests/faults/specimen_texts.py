@@ -8,7 +8,8 @@ from pathlib import Path
 from tests.motion_texts import AMC, ASF, BVH
 from vntoolkit.io.atomic import write_text
 from vntoolkit.io.results.frame_log import FrameEntry, FrameLog
-from vntoolkit.io.results.manifest import InputEntry, Manifest, write_manifest
+from vntoolkit.io.results.manifest import InputEntry, Manifest
+from vntoolkit.io.results.reconstruction import write_manifest
 from vntoolkit.io.rigs import entry_from_rig, write_rig
 from vntoolkit.photometry.rig import Rig
 

@@ -19,17 +19,18 @@ from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
 from vntoolkit.geometry.mesh import Mesh, MeshSequence
 from vntoolkit.io.footage.captures import CaptureOptions, open_capture
-from vntoolkit.io.footage.images import write_png
+from vntoolkit.io.footage.image_writing import write_png
 from vntoolkit.io.footage.video import write_video
 from vntoolkit.io.light_files import read_lights
 from vntoolkit.io.maps_and_meshes.exr import ExrCompression, write_exr
-from vntoolkit.io.maps_and_meshes.label_images import read_labels, read_mask, write_labels, write_mask
+from vntoolkit.io.maps_and_meshes.label_images import read_labels, write_labels
 from vntoolkit.io.maps_and_meshes.maps import (
     read_depth_map,
     read_normal_map,
     write_depth_map,
     write_normal_map,
 )
+from vntoolkit.io.maps_and_meshes.masks import read_mask, write_mask
 from vntoolkit.io.maps_and_meshes.meshes import read_mesh, read_point_cloud, write_mesh
 from vntoolkit.io.motion.asf import read_asf_amc
 from vntoolkit.io.motion.bvh import read_bvh

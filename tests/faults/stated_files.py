@@ -23,7 +23,7 @@ from PIL import Image, ImageCms
 
 from vntoolkit.errors import BadInput
 from vntoolkit.io.footage.captures import CaptureOptions, open_capture
-from vntoolkit.io.maps_and_meshes.label_images import read_mask
+from vntoolkit.io.maps_and_meshes.masks import read_mask
 
 H, W = 24, 32
 Rng = np.random.Generator

@@ -33,7 +33,7 @@ from vntoolkit.diagnosis import inspection
 from vntoolkit.errors import BadInput, CannotWrite, VntError
 from vntoolkit.io.atomic import require_writable_folder, write_text
 from vntoolkit.io.files import require_name
-from vntoolkit.io.footage.images import write_png
+from vntoolkit.io.footage.image_writing import write_png
 from vntoolkit.io.maps_and_meshes.exr import ExrCompression, write_exr
 from vntoolkit.io.results.folder import LOCK_NAME, read_lock, write_lock
 from vntoolkit.io.results.sequences import read_mesh_sequence
@@ -113,7 +113,7 @@ def test_every_verb_that_writes_a_folder_leaves_a_locked_one_alone(good, tmp_pat
 
 @pytest.mark.parametrize("name", ["", ".", "..", " .", "a/b", "a\0b", "x" * 256])
 def test_a_name_that_is_none_or_leads_elsewhere_is_refused(name):
-    with pytest.raises(BadInput, match="which no file can bear"):
+    with pytest.raises(BadInput, match="which is not allowed for a file"):
         require_name(name, "a.mkv")
 
 
@@ -299,7 +299,7 @@ def test_nan_in_a_moving_mesh_is_refused_by_all_that_read_it(good, tmp_path, cap
 def test_usd_without_room_is_one_line():
     """It would end the process."""
     code = (
-        "import resource; from vntoolkit.native import require_address_space\n"
+        "import resource; from vntoolkit.libraries import require_address_space\n"
         "resource.setrlimit(resource.RLIMIT_AS, (1 << 30, 1 << 30)); require_address_space(2 << 30, 'USD')"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)

@@ -14,7 +14,7 @@ from interruptions import Verb, content_of, interrupt_often, lines_of, run_until
 
 from tests.pipeline.conftest import RESPONSE, RIG, SIZE
 from tests.result_files import write_mesh_sequence
-from vntoolkit.io.footage.images import write_png
+from vntoolkit.io.footage.image_writing import write_png
 from vntoolkit.io.rigs import write_rig
 from vntoolkit.photometry.response import rgb_from_normals
 

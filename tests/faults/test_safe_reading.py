@@ -10,7 +10,7 @@ from specimens import LIMITED, a_mesh
 from tests.result_files import write_mesh_sequence
 from vntoolkit.errors import BadCapture, BadInput, BadMesh
 from vntoolkit.io.footage.captures import open_capture
-from vntoolkit.io.footage.images import write_png
+from vntoolkit.io.footage.image_writing import write_png
 from vntoolkit.io.light_files import read_lights
 from vntoolkit.io.results.sequences import read_mesh_sequence
 

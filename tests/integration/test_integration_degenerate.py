@@ -73,7 +73,7 @@ def test_anchoring_a_thousand_parts_takes_no_image_for_each() -> None:
 
 @pytest.mark.parametrize("perspective", [False, True], ids=["orthographic", "perspective"])
 @pytest.mark.parametrize("spoilt", [[1, 1, -1], [0, 0, 0]], ids=["behind", "no length"])
-@pytest.mark.parametrize("integrator", [None, Integrator.POISSON, Integrator.DISCONTINUITY])
+@pytest.mark.parametrize("integrator", [Integrator.POISSON, Integrator.DISCONTINUITY])
 def test_normals_that_no_camera_sees_are_left_out_and_said(integrator, spoilt, perspective, caplog) -> None:
     """Depth around them is that of the map whose mask leaves them out."""
     normals, seen = np.array(peaks(SIZE)[1]), EVERYWHERE.copy()

@@ -14,7 +14,8 @@ from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.point_cloud import PointCloud
 from vntoolkit.io.atomic import write_bytes
 from vntoolkit.io.files import require_file, require_inside, sha256_of_file
-from vntoolkit.io.footage.images import encoded_image, read_image, write_png
+from vntoolkit.io.footage.image_writing import encoded_image, write_png
+from vntoolkit.io.footage.images import read_image
 from vntoolkit.io.footage.video import write_video
 from vntoolkit.io.light_files import read_lights
 from vntoolkit.io.maps_and_meshes.arrays import map_npy, read_npz

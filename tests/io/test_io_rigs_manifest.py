@@ -11,15 +11,8 @@ from vntoolkit.geometry.camera import Camera, CameraModel
 from vntoolkit.io.files import sha256_of_file, source_file
 from vntoolkit.io.results.folder import begin_run, require_same_request
 from vntoolkit.io.results.frame_log import FrameEntry, FrameLog
-from vntoolkit.io.results.manifest import (
-    RECONSTRUCTION,
-    InputEntry,
-    Manifest,
-    hashed,
-    library_versions,
-    read_manifest,
-    write_manifest,
-)
+from vntoolkit.io.results.manifest import InputEntry, Manifest, read_manifest
+from vntoolkit.io.results.reconstruction import RECONSTRUCTION, hashed, library_versions, write_manifest
 from vntoolkit.io.rigs import RigFile, entry_from_rig, read_rig, rig_from_text, text_from_rig, write_rig
 from vntoolkit.photometry.gel import EARLIER_TERMS, GelResponse, completed_coefficients
 from vntoolkit.photometry.response import LightResponse

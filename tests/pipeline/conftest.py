@@ -8,7 +8,7 @@ import pytest
 
 from vntoolkit.__main__ import main
 from vntoolkit.geometry.camera import Camera
-from vntoolkit.io.footage.images import write_png
+from vntoolkit.io.footage.image_writing import write_png
 from vntoolkit.io.results.manifest import Manifest, read_manifest
 from vntoolkit.io.rigs import write_rig
 from vntoolkit.photometry.response import LightResponse, rgb_from_normals

@@ -10,10 +10,11 @@ from vntoolkit.__main__ import main
 from vntoolkit.evaluation.angular_error import angles_between_deg
 from vntoolkit.geometry.rectification import Rectification
 from vntoolkit.io.footage.captures import open_capture
-from vntoolkit.io.footage.images import read_image, write_png
+from vntoolkit.io.footage.image_writing import write_png
+from vntoolkit.io.footage.images import read_image
 from vntoolkit.io.light_files import read_lights
-from vntoolkit.io.maps_and_meshes.label_images import read_mask, write_mask
 from vntoolkit.io.maps_and_meshes.maps import read_depth_map, read_normal_map
+from vntoolkit.io.maps_and_meshes.masks import read_mask, write_mask
 from vntoolkit.io.rigs import read_rig
 from vntoolkit.normals.inversion import normals_from_encoded
 from vntoolkit.normals.photometric_stereo import normals_from_lights

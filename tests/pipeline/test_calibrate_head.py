@@ -20,31 +20,18 @@ from tests.calibration.turning_egg import (
 from vntoolkit.errors import BadCalibration, BadInput
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.maps_and_meshes.meshes import read_mesh, write_mesh
-from vntoolkit.options.head import (
-    Features,
-    FollowOptions,
-    HeadOptions,
-    HeadShape,
-    HullOptions,
-    PoseOptions,
-    SampleOptions,
-    StereoOptions,
-    TrackOptions,
-)
+from vntoolkit.options.head import Features, HeadOptions, HeadShape, HeadSteps
 from vntoolkit.pipeline.calibrate import CalibrationJob
 from vntoolkit.pipeline.calibrate_head import calibrate_head
 from vntoolkit.report.head import notices_of_head, write_head_page
 
 OPTIONS = HeadOptions(  # for a picture of 320 by 240
-    following=FollowOptions(
-        tracks=TrackOptions(corners=600, corner_spacing_px=4.0, margin_px=8, window_px=9)
+    steps=HeadSteps(
+        corners=600, corner_spacing_px=4.0, margin_px=8, window_px=9, pose_tracks=500, hull_cells=64,
+        references=5, stereo_window_px=11, light_frames=9, light_points=1500,
     ),
-    poses=PoseOptions(pose_tracks=500),
-    hull=HullOptions(hull_cells=64),
-    stereo=StereoOptions(references=5, stereo_window_px=11),
-    samples=SampleOptions(light_frames=9, light_points=1500),
     head_shape=HeadShape.FUSED,
-)
+)  # fmt: skip
 FOCAL = float(CAMERA.matrix[0, 0])
 
 
@@ -110,7 +97,7 @@ def require_closed_and_outward(mesh):
 def test_features_place_photographs_far_apart(footage):
     options = replace(
         OPTIONS,
-        following=FollowOptions(features=Features.SIFT),
+        features=Features.SIFT,
         head_shape=HeadShape.HULL,
     )
     job = CalibrationJob(source=footage[0], focal_px=FOCAL, frames=FrameRange(step=2))

@@ -12,12 +12,12 @@ from vntoolkit.__main__ import main
 from vntoolkit.diagnosis.inspection import inspect_capture
 from vntoolkit.errors import BadCapture
 from vntoolkit.io.footage.captures import open_capture
-from vntoolkit.io.footage.images import write_png
+from vntoolkit.io.footage.image_writing import write_png
 from vntoolkit.io.results.manifest import read_manifest
-from vntoolkit.options.tracking import TrackingOptions
+from vntoolkit.options.tracking import TrackArguments
 from vntoolkit.photometry.response import rgb_from_normals
 from vntoolkit.pipeline.reconstruct import reconstruct
-from vntoolkit.pipeline.track import TrackJob, track
+from vntoolkit.pipeline.track import track
 
 LEVELS = 3  # of 255, of noise in the dark
 
@@ -91,7 +91,7 @@ def test_the_template_is_the_frame_that_shows_most(tmp_path: Path) -> None:
     capture = _film(tmp_path / "footage", [0.0, 0.55, 0.8, 1.0, 0.9, 0.6])
     out = tmp_path / "out"
     reconstruct(job_of(capture, out))
-    job = TrackJob(folder=out, options=TrackingOptions())
+    job = TrackArguments(out)
     summary = track(job)
     assert summary.template == 3
     assert track(replace(job, template=2, out=tmp_path / "own")).template == 2

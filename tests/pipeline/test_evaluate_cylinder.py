@@ -8,9 +8,8 @@ import pytest
 import vntoolkit as vt
 from vntoolkit.__main__ import main
 from vntoolkit.errors import BadInput
-from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.pipeline.evaluate import evaluate_cylinder
-from vntoolkit.pipeline.opened_result import open_result
+from vntoolkit.pipeline.opened_result import read_result
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +42,7 @@ def test_without_footage_the_mask_is_the_silhouette(folders, monkeypatch):
     hidden = folders[1] / "moved.mkv"
     (folders[1] / "capture.mkv").rename(hidden)
     try:
-        found = evaluate_cylinder(open_result(folders[0], frames=FrameRange(stop=1)))
+        found = evaluate_cylinder(read_result(folders[0], frames=":1"))
     finally:
         hidden.rename(folders[1] / "capture.mkv")
     assert found.frames[0].truth is None
@@ -58,4 +57,4 @@ def test_the_truth_of_another_scene_is_refused(folders: tuple[Path, Path], tmp_p
         (truth / name).write_text(text)
     (truth / "normals").symlink_to(folders[1] / "truth" / "normals")
     with pytest.raises(BadInput, match="holds the scene sphere, not a cylinder"):
-        evaluate_cylinder(open_result(folders[0]), tmp_path)
+        evaluate_cylinder(read_result(folders[0]), tmp_path)

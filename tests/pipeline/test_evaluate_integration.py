@@ -8,8 +8,8 @@ from vntoolkit.cli.evaluate import evaluate_integration
 from vntoolkit.errors import BadInput
 from vntoolkit.evaluation.depth_error import peaks
 from vntoolkit.geometry.maps import NormalMap
-from vntoolkit.io.maps_and_meshes.label_images import write_mask
 from vntoolkit.io.maps_and_meshes.maps import write_normal_map
+from vntoolkit.io.maps_and_meshes.masks import write_mask
 from vntoolkit.pipeline.evaluate import objects_in, real_object_errors
 
 

@@ -17,12 +17,11 @@ from vntoolkit.evaluation.angular_error import angles_between_deg
 from vntoolkit.evaluation.mesh_comparison import mesh_distance
 from vntoolkit.geometry.mesh import face_normals
 from vntoolkit.io.conventions import graphics_from_camera
-from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.footage.images import read_image, read_image_with_alpha
 from vntoolkit.io.light_files import read_lights
 from vntoolkit.io.maps_and_meshes.arrays import StreamedArray, write_npz
-from vntoolkit.io.maps_and_meshes.label_images import read_mask
 from vntoolkit.io.maps_and_meshes.maps import read_depth_map, read_normal_map
+from vntoolkit.io.maps_and_meshes.masks import read_mask
 from vntoolkit.io.maps_and_meshes.meshes import read_mesh, read_point_cloud
 from vntoolkit.io.results.sequences import read_mesh_sequence
 from vntoolkit.normals.photometric_stereo import normals_from_lights
@@ -35,12 +34,12 @@ from vntoolkit.options.export import (
     MeshUpAxis,
     NormalConvention,
 )
-from vntoolkit.options.tracking import TrackingOptions
+from vntoolkit.options.tracking import TrackArguments
 from vntoolkit.pipeline.export import ExportJob, export
-from vntoolkit.pipeline.track import TrackJob, track
+from vntoolkit.pipeline.track import track
 
 __all__ = ["dome_result"]
-FRAMES = FrameRange.from_text("0:3")
+FRAMES = "0:3"
 
 
 def exported(result: DomeResult, out: Path | None, to: ExportFormat, **options: object) -> Path:
@@ -63,9 +62,9 @@ def test_every_frame_is_played_at_the_time_it_was_filmed(dome_result: DomeResult
     content = json.loads((folder / "reconstruction.json").read_text())
     content["input"] |= {"times_s": times.tolist(), "frame_rate_hz": 25.0}
     (folder / "reconstruction.json").write_text(json.dumps(content))
-    track(TrackJob(folder=folder, options=TrackingOptions()))
+    track(TrackArguments(folder))
     np.testing.assert_allclose(read_mesh_sequence(folder / "track").instants_s, times)
-    for frames, kept in ((None, [0, 1, 2, 4, 5]), (FrameRange(step=2), [0, 2, 4])):
+    for frames, kept in ((None, [0, 1, 2, 4, 5]), ("::2", [0, 2, 4])):
         filmed = times[kept] - times[kept[0]]
         made = {}
         for to, mesh in (("glb", "tracked"), ("usd", "tracked"), ("usd", "frames")):

@@ -10,7 +10,7 @@ import vntoolkit as vt
 from vntoolkit.evaluation.angular_error import angles_between_deg
 from vntoolkit.io.results.manifest import read_manifest, rig_of_result
 from vntoolkit.io.rigs import read_rig, write_rig
-from vntoolkit.pipeline.opened_result import open_result
+from vntoolkit.pipeline.opened_result import read_result
 from vntoolkit.pipeline.truth_comparison import true_normals
 
 
@@ -26,7 +26,7 @@ def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def mean_error_deg(film: Path, result: Path) -> float:
-    found, truth = open_result(result).normals(0), true_normals(film / "film", 0)
+    found, truth = read_result(result).normals(0), true_normals(film / "film", 0)
     both = found.mask & truth.mask
     return float(angles_between_deg(found.normals_in_camera[both], truth.normals_in_camera[both]).mean())
 
@@ -54,7 +54,7 @@ def test_face_with_m_alone_is_as_good_as_with_the_lamps_colours(film: Path) -> N
     doubts_deg = rig_of_result(read_manifest(film / "found")).response.light_doubts_deg
     assert doubts_deg is not None
     assert 1.0 < doubts_deg.max() <= 4.0
-    frame, truth = open_result(film / "found").normals(0), true_normals(film / "film", 0)
+    frame, truth = read_result(film / "found").normals(0), true_normals(film / "film", 0)
     both = frame.mask & truth.mask
     off = angles_between_deg(frame.normals_in_camera[both], truth.normals_in_camera[both])
     assert frame.error_deg is not None

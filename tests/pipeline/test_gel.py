@@ -12,7 +12,7 @@ from vntoolkit.diagnosis.finding import FatalFinding
 from vntoolkit.diagnosis.press_checks import check_gel_fills_picture
 from vntoolkit.errors import BadCapture, BadInput
 from vntoolkit.geometry.rectification import Rectification
-from vntoolkit.io.footage.images import write_png
+from vntoolkit.io.footage.image_writing import write_png
 from vntoolkit.io.rigs import read_rig, write_rig
 from vntoolkit.options.calibration import PressOptions
 from vntoolkit.pipeline.calibrate_presses import PressJob, calibrate_presses

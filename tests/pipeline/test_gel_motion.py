@@ -11,7 +11,8 @@ import vntoolkit as vt
 from tests.drawn_gel import HEIGHT, WIDTH, U, V, picture
 from tests.pipeline.test_gel import BALL, write_presses
 from vntoolkit.__main__ import main
-from vntoolkit.io.footage.images import read_image, write_png
+from vntoolkit.io.footage.image_writing import write_png
+from vntoolkit.io.footage.images import read_image
 from vntoolkit.io.results.sequences import read_mesh_sequence
 from vntoolkit.io.rigs import write_rig
 from vntoolkit.pipeline.calibrate_presses import calibrate_presses

@@ -18,11 +18,12 @@ from vntoolkit.geometry.camera import Camera
 from vntoolkit.io.footage.captures import Capture
 from vntoolkit.io.footage.decoding import EncodedFrame
 from vntoolkit.io.footage.frame_range import FrameRange
-from vntoolkit.io.footage.images import write_png
-from vntoolkit.io.maps_and_meshes.label_images import read_materials, write_mask
+from vntoolkit.io.footage.image_writing import write_png
+from vntoolkit.io.maps_and_meshes.label_images import read_materials
 from vntoolkit.io.maps_and_meshes.maps import read_normal_map
+from vntoolkit.io.maps_and_meshes.masks import write_mask
 from vntoolkit.io.maps_and_meshes.meshes import read_mesh
-from vntoolkit.io.results.manifest import MaterialEntry, read_manifest
+from vntoolkit.io.results.manifest import MaterialEntry, ReconstructionFolder, read_manifest
 from vntoolkit.materials.search import Material, find_materials
 from vntoolkit.options.normals import ShadowMethod
 from vntoolkit.options.reconstruction import MaterialSearch, Product, ReconstructOptions
@@ -31,7 +32,6 @@ from vntoolkit.photometry.response import LightResponse, with_near_lamps
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline import measured_materials
 from vntoolkit.pipeline.frame_processor import FrameProcessor
-from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.prepare import in_one_material
 from vntoolkit.pipeline.reconstruct import reconstruct
 from vntoolkit.pipeline.request import Request

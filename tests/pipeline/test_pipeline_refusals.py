@@ -17,7 +17,8 @@ from vntoolkit.errors import BadCalibration, BadCapture, BadInput, BadMotion
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.mesh import Mesh, MeshSequence
 from vntoolkit.geometry.motion import Motion, Skeleton
-from vntoolkit.io.footage.images import write_png
+from vntoolkit.io.footage.image_writing import write_png
+from vntoolkit.io.results.manifest import ReconstructionFolder
 from vntoolkit.io.rigs import write_rig
 from vntoolkit.options.calibration import LightColours, PressOptions
 from vntoolkit.options.reconstruction import ReconstructOptions
@@ -34,8 +35,7 @@ from vntoolkit.pipeline.evaluate import (
     read_track_truth,
     surface_cases,
 )
-from vntoolkit.pipeline.opened_result import open_result
-from vntoolkit.pipeline.outputs import ReconstructionFolder
+from vntoolkit.pipeline.opened_result import read_result
 from vntoolkit.pipeline.reconstruct import reconstruct
 from vntoolkit.pipeline.request import Request
 from vntoolkit.pipeline.simulate import SimulationFolder, SimulationJob
@@ -206,7 +206,7 @@ def test_simulations_of_what_cannot_be_filmed(tmp_path: Path) -> None:
 
 def test_truth_that_is_not_there_or_of_another_scene(result: Path, tmp_path: Path) -> None:
     with pytest.raises(BadInput, match="the simulated capture holds no truth for frame 0"):
-        list(compare_with_truth(open_result(result), tmp_path))
+        list(compare_with_truth(read_result(result), tmp_path))
     truth = CylinderTruth(folder=SimulationFolder(root=tmp_path))
     (tmp_path / "truth").mkdir()
     for name, text, line in (

@@ -8,7 +8,7 @@ import pytest
 from tests.pipeline.conftest import DomeCapture
 from tests.pipeline.test_reconstruct import digest, job_of
 from vntoolkit.evaluation.angular_error import angles_between_deg
-from vntoolkit.io.footage.images import write_png
+from vntoolkit.io.footage.image_writing import write_png
 from vntoolkit.io.maps_and_meshes.label_images import read_labels
 from vntoolkit.io.maps_and_meshes.maps import read_normal_map
 from vntoolkit.io.results.manifest import read_manifest

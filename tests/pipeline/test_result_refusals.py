@@ -12,13 +12,12 @@ from vntoolkit.__main__ import main
 from vntoolkit.errors import BadCapture, BadInput, CannotWrite
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import LengthUnit
-from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.results.sequences import MeshSequenceWriter, read_mesh_sequence
 from vntoolkit.live.page import LiveViewer
 from vntoolkit.options.export import ExportedSurface, ExportFormat, ExportOptions
 from vntoolkit.options.pages import ViewerOptions
 from vntoolkit.pipeline.export import ExportJob, export, file_lengths
-from vntoolkit.pipeline.opened_result import open_result
+from vntoolkit.pipeline.opened_result import read_result
 from vntoolkit.report.result_scene import ResultViewer
 
 __all__ = ["dome_result"]
@@ -36,15 +35,15 @@ def exported(folder: Path, to: ExportFormat, **options: object) -> None:
 
 def test_a_result_without_the_frames_asked_for(result: Path) -> None:
     with pytest.raises(BadInput, match="holds none of the frames 3:4:1; it holds 5, from 0 to 5"):
-        open_result(result, frames=FrameRange.from_text("3"))
+        read_result(result, frames="3")
 
 
 def test_tracks_of_an_earlier_reconstruction_are_left_out(result, caplog):
-    assert open_result(result).track is not None
+    assert read_result(result).track is not None
     manifest = json.loads((result / "reconstruction.json").read_text())
     manifest["rig"]["response"]["matrix"][0][0] += 0.01  # made again, with --overwrite and another rig
     (result / "reconstruction.json").write_text(json.dumps(manifest))
-    opened = open_result(result)
+    opened = read_result(result)
     assert opened.track is None
     assert f"run `vntoolkit track {result} --overwrite`" in caplog.text
     with pytest.raises(BadInput, match="holds no tracked surface; run `vntoolkit track` first"):
@@ -86,12 +85,12 @@ def test_tracks_that_end_early_are_said_to_be_incomplete(result, caplog):
 
 
 def test_a_result_whose_footage_is_another(result: Path, dome_capture: DomeCapture) -> None:
-    opened = open_result(result, footage=dome_capture.source)
+    opened = read_result(result, footage=dome_capture.source)
     with pytest.raises(
         BadInput, match=r"20 frames of 64×48, but .* from 6 of 64×48; name the footage it came"
     ):
         _ = opened.capture
-    moved = open_result(result, footage=str(result / "nowhere.mkv"))
+    moved = read_result(result, footage=str(result / "nowhere.mkv"))
     with pytest.raises(
         BadCapture, match=r"nowhere\.mkv: no such file; if the footage has moved, give --footage"
     ):
@@ -115,7 +114,7 @@ def test_a_viewer_at_an_address_that_is_not_ours(result: Path) -> None:
     options = ViewerOptions(host="203.0.113.1")  # of a network that exists in documents only
     camera = Camera.orthographic(width=64, height=48)
     for made in (
-        lambda: ResultViewer(open_result(result), options),
+        lambda: ResultViewer(read_result(result), options),
         lambda: LiveViewer(camera, options, figures=lambda: None),
     ):
         with pytest.raises(CannotWrite, match=r"cannot serve on 203\.0\.113\.1:\d+"):
@@ -126,4 +125,4 @@ def test_a_result_of_normals_alone_has_nothing_to_view(result: Path) -> None:
     for name in ("mesh", "depth", "track"):
         shutil.rmtree(result / name)
     with pytest.raises(BadInput, match="holds no depth to show; run `vntoolkit reconstruct --to depth`"):
-        ResultViewer(open_result(result), ViewerOptions(port=18231))
+        ResultViewer(read_result(result), ViewerOptions(port=18231))

@@ -13,8 +13,9 @@ from vntoolkit.__main__ import main
 from vntoolkit.errors import BadInput, BadMesh, BadMotion
 from vntoolkit.io.footage.captures import CaptureOptions, open_capture
 from vntoolkit.io.footage.frame_range import FrameRange
-from vntoolkit.io.maps_and_meshes.label_images import read_labels, read_mask
+from vntoolkit.io.maps_and_meshes.label_images import read_labels
 from vntoolkit.io.maps_and_meshes.maps import read_depth_map, read_normal_map
+from vntoolkit.io.maps_and_meshes.masks import read_mask
 from vntoolkit.io.results.sequences import read_mesh_sequence
 from vntoolkit.io.rigs import read_rig
 from vntoolkit.options.simulation import Lighting, Nuisances, RenderOptions, SceneOptions

@@ -14,7 +14,8 @@ from vntoolkit.diagnosis.press_checks import (
     check_press_transfer,
 )
 from vntoolkit.geometry.maps import DepthMap
-from vntoolkit.io.footage.images import read_image, write_png
+from vntoolkit.io.footage.image_writing import write_png
+from vntoolkit.io.footage.images import read_image
 from vntoolkit.io.maps_and_meshes.maps import read_depth_map, read_normal_map
 from vntoolkit.io.rigs import read_rig
 from vntoolkit.pipeline.calibrate_presses import PressJob, PressReader
@@ -118,7 +119,8 @@ def test_an_untouched_gel_is_flat_and_a_missing_background_is_said(sensor, tmp_p
     assert calibrate(sensor, rig) == 0
     flat = tmp_path / "flat"
     assert main(f"reconstruct {sensor}/background.png --rig {rig} --to depth --out {flat}".split()) == 1
-    assert "give the photograph of the untouched gel with --background" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "expected a photograph of the untouched gel, got none; give it with --background" in said
     assert reconstruct(sensor, "background.png", rig, flat) == 0
     assert np.ptp(read_depth_map(tmp_path / "flat" / "depth" / "000000.exr").depth) == 0
     assert (tmp_path / "flat" / "contact.csv").read_text().splitlines()[1] == "0,0.000,0.0000"

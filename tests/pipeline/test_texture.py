@@ -14,7 +14,6 @@ from pxr import Usd, UsdShade, UsdValidation
 from tests.dome_result import DomeResult, dome_result
 from tests.pipeline.conftest import RESPONSE
 from vntoolkit.geometry.mesh import vertex_normals
-from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.footage.images import read_image
 from vntoolkit.io.maps_and_meshes.maps import write_normal_map
 from vntoolkit.options.export import ExportFormat, ExportOptions
@@ -24,7 +23,7 @@ from vntoolkit.pipeline.dress import (
     read_tracked_cloth,
 )
 from vntoolkit.pipeline.export import ExportJob, export
-from vntoolkit.pipeline.opened_result import open_result
+from vntoolkit.pipeline.opened_result import read_result
 from vntoolkit.pipeline.texture import filled, tangent_frames, texels_of, write_texture
 from vntoolkit.pipeline.texture_files import read_texture
 
@@ -91,7 +90,7 @@ def test_the_albedo_is_the_material_without_its_shading(dome_result: DomeResult)
 def test_no_texel_holds_a_normal_below_the_surface(dome_result: DomeResult, tmp_path: Path) -> None:
     """Renderers show such a texel black. Here the left flank's normals lean right, as if of what hid it."""
     shutil.copytree(dome_result.folder, tmp_path / "out")
-    result, spoilt = open_result(tmp_path / "out"), 0
+    result, spoilt = read_result(tmp_path / "out"), 0
     for number in result.numbers:
         found = result.normals(number)
         normals = np.array(found.normals_in_camera)
@@ -106,7 +105,7 @@ def test_no_texel_holds_a_normal_below_the_surface(dome_result: DomeResult, tmp_
 
 
 def test_mesh_and_relief_together_have_the_measured_normals(dome_result: DomeResult) -> None:
-    result = open_result(dome_result.folder)
+    result = read_result(dome_result.folder)
     texture, track = read_texture(dome_result.folder / "track"), result.track
     assert texture is not None
     assert track is not None
@@ -136,7 +135,7 @@ def test_tracked_exports_carry_the_texture(dome_result, tmp_path, kind):
             folder=dome_result.folder,
             options=options,
             out=tmp_path / name,
-            frames=FrameRange.from_text("0:2"),
+            frames="0:2",
         )
     ).out
     match kind:

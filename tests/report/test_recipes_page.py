@@ -8,7 +8,7 @@ import pytest
 
 from tests.browser import visit
 from vntoolkit.errors import BadInput
-from vntoolkit.io.footage.images import write_png
+from vntoolkit.io.footage.image_writing import write_png
 from vntoolkit.report.recipes_page import (
     RecipeRun,
     RecipeText,

@@ -14,9 +14,10 @@ from tests.dome_result import SKIPPED, DomeResult
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap
-from vntoolkit.io.results.manifest import FindingEntry, read_manifest, write_manifest
+from vntoolkit.io.results.manifest import FindingEntry, read_manifest
+from vntoolkit.io.results.reconstruction import write_manifest
 from vntoolkit.options.pages import ReportOptions
-from vntoolkit.pipeline.opened_result import open_result
+from vntoolkit.pipeline.opened_result import read_result
 from vntoolkit.report.page import PageSection, PageTable, figure_from_file, figure_from_plot
 from vntoolkit.report.pictures import new_figure, normals_from_depth, picture_of_depth
 from vntoolkit.report.report import content_of_report, write_report
@@ -123,7 +124,7 @@ def test_it_repeats_what_the_run_found(dome_result: DomeResult, tmp_path: Path) 
     first = [page.index(finding.text) for finding in (worse, clipped)]
     assert first == sorted(first)
     assert first[1] < page.index("<h2>Sample frames")
-    found = content_of_report(open_result(folder))["findings"]
+    found = content_of_report(read_result(folder))["findings"]
     assert [finding["text"] for finding in found] == [worse.text, clipped.text]
     assert found[0]["frame"] == 2
 

@@ -17,10 +17,9 @@ from tests.browser import visit
 from tests.dome_result import DomeResult
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.mesh import Mesh, face_normals
-from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.results.sequences import read_mesh_sequence
 from vntoolkit.options.pages import ScenePageOptions
-from vntoolkit.pipeline.opened_result import open_result
+from vntoolkit.pipeline.opened_result import read_result
 from vntoolkit.report.result_scene import thinned_template, write_scene
 
 GROUND = np.array([32, 38, 47])
@@ -36,7 +35,7 @@ def covered(picture: np.ndarray) -> np.ndarray:
 @pytest.fixture(scope="module")
 def page(dome_result: DomeResult, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("scene") / "scene.html"
-    write_scene(out, open_result(dome_result.folder), ScenePageOptions(vertices=300))
+    write_scene(out, read_result(dome_result.folder), ScenePageOptions(vertices=300))
     return out
 
 
@@ -168,7 +167,7 @@ def test_a_browser_copes_with_what_a_result_may_lack(page, dome_result, tmp_path
 
     folder = shutil.copytree(dome_result.folder, tmp_path / "single")
     shutil.rmtree(folder / "track")
-    no_footage = open_result(folder, frames=FrameRange.from_text("0"), footage=str(tmp_path / "nowhere.mkv"))
+    no_footage = read_result(folder, frames="0", footage=str(tmp_path / "nowhere.mkv"))
     write_scene(tmp_path / "single.html", no_footage)
     with visit(tmp_path / "single.html") as seen:
         seen.page.wait_for_selector("body[data-shown='0']")
@@ -236,7 +235,7 @@ def test_the_registered_mesh_arrives_as_it_was(page: Path, dome_result: DomeResu
 
 def test_a_long_capture_is_thinned_evenly_and_keeps_its_pace(dome_result: DomeResult, tmp_path: Path) -> None:
     out = tmp_path / "scene.html"
-    write_scene(out, open_result(dome_result.folder), ScenePageOptions(vertices=100, most_frames=3))
+    write_scene(out, read_result(dome_result.folder), ScenePageOptions(vertices=100, most_frames=3))
     data = data_of(out)
     assert data["numbers"] == [0, 2, 5]
     assert len(data["frames"]) == 3
@@ -262,5 +261,5 @@ def test_normals_alone_are_refused(dome_result: DomeResult, tmp_path: Path) -> N
     for name in ("depth", "mesh", "track"):
         shutil.rmtree(folder / name)
     with pytest.raises(BadInput, match="has no depth; reconstruct with --to depth"):
-        write_scene(tmp_path / "scene.html", open_result(folder))
+        write_scene(tmp_path / "scene.html", read_result(folder))
     assert not (tmp_path / "scene.html").exists()

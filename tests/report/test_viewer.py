@@ -13,7 +13,7 @@ import pytest
 from tests.browser import Visit, visit
 from tests.dome_result import DomeResult
 from vntoolkit.options.pages import ViewerOptions
-from vntoolkit.pipeline.opened_result import open_result
+from vntoolkit.pipeline.opened_result import read_result
 from vntoolkit.report.result_scene import ResultViewer
 
 
@@ -25,7 +25,7 @@ def free_port() -> int:
 
 @pytest.fixture
 def viewer(dome_result: DomeResult) -> Iterator[ResultViewer]:
-    shown = ResultViewer(open_result(dome_result.folder), ViewerOptions(port=free_port()))
+    shown = ResultViewer(read_result(dome_result.folder), ViewerOptions(port=free_port()))
     yield shown
     shown.close()
 
@@ -89,7 +89,7 @@ def test_a_browser_shows_the_surface(viewer: ResultViewer) -> None:
 @pytest.mark.slow
 def test_frames_come_whole_and_what_cannot_be_read_is_said(dome_result: DomeResult, tmp_path: Path) -> None:
     folder = shutil.copytree(dome_result.folder, tmp_path / "result")
-    shown = ResultViewer(open_result(folder), ViewerOptions(port=free_port()))
+    shown = ResultViewer(read_result(folder), ViewerOptions(port=free_port()))
     try:
         with visit(shown.address, width=700, height=700) as seen:
             seen.page.wait_for_selector("body[data-shown='0']")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import shutil
 from pathlib import Path
@@ -13,16 +14,16 @@ from tests.tracking.wrinkled_video import WrinkledVideo
 from vntoolkit.errors import BadInput
 from vntoolkit.io.maps_and_meshes.label_images import write_labels
 from vntoolkit.io.maps_and_meshes.maps import write_depth_map, write_normal_map
-from vntoolkit.io.results.manifest import InputEntry, Manifest, read_manifest, write_manifest
+from vntoolkit.io.results.manifest import InputEntry, Manifest, ReconstructionFolder, read_manifest
+from vntoolkit.io.results.reconstruction import write_manifest
 from vntoolkit.io.results.seams import read_seams, write_seams
 from vntoolkit.io.results.sequences import read_mesh_sequence
 from vntoolkit.io.rigs import entry_from_rig
-from vntoolkit.options.tracking import Tracker, TrackingOptions
+from vntoolkit.options.tracking import TrackArguments, Tracker
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline.checkerboard import write_checkerboard
-from vntoolkit.pipeline.outputs import ReconstructionFolder
-from vntoolkit.pipeline.track import TrackJob, track
+from vntoolkit.pipeline.track import track
 
 FRAMES = 8
 
@@ -45,8 +46,8 @@ def folder(video: WrinkledVideo, tmp_path: Path) -> Path:
     return tmp_path
 
 
-def job(folder: Path, **more: object) -> TrackJob:
-    return TrackJob(folder=folder, options=TrackingOptions(), **more)
+def job(folder: Path, **more: object) -> TrackArguments:
+    return TrackArguments(folder, **more)
 
 
 @pytest.mark.parametrize("template", [0, 3, 7])
@@ -98,10 +99,10 @@ def test_a_missing_frame_is_held_and_tracking_goes_on(folder: Path, video: Wrink
 
 
 def test_without_the_footage_it_says_that_paint_is_not_tracked(folder, caplog):
-    track(TrackJob(folder=folder, options=TrackingOptions(method=Tracker.FLOW)))
+    track(TrackArguments(folder, method=Tracker.FLOW))
     assert "paint" not in caplog.text  # a published method reads none
-    track(job(folder), overwrite=True)
-    assert "paint is not tracked, relief and shape alone are: " in caplog.text
+    track(job(folder, overwrite=True))
+    assert "tracking uses relief and shape, not the colours of the surface: " in caplog.text
     assert "give --footage" in caplog.text
 
 
@@ -114,10 +115,10 @@ def test_a_single_frame_gives_a_sequence_of_one(folder: Path) -> None:
 
 def test_other_options_are_not_mixed_in(folder: Path) -> None:
     track(job(folder))
-    other = TrackJob(folder=folder, options=TrackingOptions(method=Tracker.FLOW))
+    other = TrackArguments(folder, method=Tracker.FLOW)
     with pytest.raises(BadInput, match=r"tracks made differently: options\.method .* add --overwrite"):
         track(other)
-    assert track(other, overwrite=True).resumed == 0
+    assert track(dataclasses.replace(other, overwrite=True)).resumed == 0
 
 
 @pytest.mark.parametrize("kind", ["normals", "depth", "shadows"])
@@ -145,14 +146,16 @@ def test_tracks_of_another_reconstruction_are_not_mixed_in(folder: Path) -> None
     write_manifest(folder, brighter)
     with pytest.raises(BadInput, match="tracks made differently: normals and depth; add --overwrite"):
         track(job(folder))
-    assert track(job(folder), overwrite=True).resumed == 0
+    assert track(job(folder, overwrite=True)).resumed == 0
 
 
 def test_a_refused_command_leaves_the_old_tracks(folder: Path) -> None:
     track(job(folder))
     before = (folder / "track/vertices.npy").read_bytes()
+    seams = folder / "seams.json"
+    seams.write_text('{"seams": [[[0, 0]]]}')
     with pytest.raises(BadInput, match="seam 0: expected two points"):
-        track(job(folder, seams=[np.zeros((1, 2))]), overwrite=True)
+        track(job(folder, seams=seams, overwrite=True))
     assert (folder / "track/vertices.npy").read_bytes() == before
 
 
@@ -163,7 +166,7 @@ def test_a_moving_mesh_that_track_did_not_write_is_left_alone(folder: Path, over
     (foreign / "track.json").unlink()  # as `simulate` writes it
     before = {path.name: path.read_bytes() for path in foreign.iterdir()}
     with pytest.raises(BadInput, match=r"holds vertices\.npy, which `vntoolkit track` did not write; choose"):
-        track(job(folder, out=foreign), overwrite=overwrite)
+        track(job(folder, out=foreign, overwrite=overwrite))
     assert {path.name: path.read_bytes() for path in foreign.iterdir()} == before
 
 

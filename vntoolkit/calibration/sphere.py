@@ -97,14 +97,14 @@ def fit_response_to_switched_sphere(
 def _warn_of_lamps(lit: LitBall) -> None:
     if not lit.is_room_known:
         logger.warning(
-            "calibrate sphere: the lamps reach all of the ball that is seen, so that it does not tell the "
-            "light of the room; unless the room is dark, M has it three times: film frames with all lamps off"
+            "calibrate sphere: every visible part of the ball is lit by a lamp, so the light of the room "
+            "cannot be measured; if the room is not dark, film some frames with all lamps off"
         )
     nearest = max(lamp.closeness for lamp in lit.lamps)
     if nearest > NEAREST_USUAL:
         logger.warning(
-            "calibrate sphere: by the ball's shading a lamp stands %.1f of its radii from its centre "
-            "(expected over %.1f); if it does not, the transfer curve is another: give it with --transfer",
+            "calibrate sphere: the shading places a lamp %.1f radii of the ball from its centre (expected "
+            "more than %.1f); if it is farther away, the transfer curve is wrong: give it with --transfer",
             1.0 / nearest, 1.0 / NEAREST_USUAL,
         )  # fmt: skip
 

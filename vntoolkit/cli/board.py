@@ -12,7 +12,7 @@ from vntoolkit.options.pages import PageSize, PageSizeName
 
 
 @dataclass(frozen=True, kw_only=True)
-class BoardArguments(Options, BoardLayout):
+class WriteBoardArguments(Options, BoardLayout):
     """What `write_board` takes."""
 
     out: File
@@ -21,8 +21,8 @@ class BoardArguments(Options, BoardLayout):
     """Size of the paper."""
 
 
-@verb(BoardArguments)
-def write_board(asked: BoardArguments) -> Path:
+@verb(WriteBoardArguments)
+def write_board(asked: WriteBoardArguments) -> Path:
     """Draw the calibration board to scale, with a scale bar and instructions."""
     out = Path(asked.out)
     write_board_pdf(out, asked.part(BoardLayout), asked.page)

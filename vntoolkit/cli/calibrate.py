@@ -23,7 +23,7 @@ from vntoolkit.io.footage.captures import Capture, CaptureOptions, open_capture
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.maps_and_meshes.meshes import write_mesh
 from vntoolkit.io.rigs import read_rig, write_rig
-from vntoolkit.native import require_installed
+from vntoolkit.libraries import require_installed
 from vntoolkit.options.base import File, Named, OptionalFile, Source, as_path, named
 from vntoolkit.options.calibration import (
     BoardOptions,
@@ -35,18 +35,7 @@ from vntoolkit.options.calibration import (
     SphereOptions,
 )
 from vntoolkit.options.footage import MatteOptions, PictureLimits, SensorOptions
-from vntoolkit.options.head import (
-    FollowOptions,
-    FusionOptions,
-    HeadOptions,
-    HullOptions,
-    LightOptions,
-    PoseOptions,
-    SampleOptions,
-    SilhouetteOptions,
-    StereoOptions,
-    TrackOptions,
-)
+from vntoolkit.options.head import HeadOptions
 from vntoolkit.options.shared import (
     AllowOptions,
     BackgroundOptions,
@@ -128,7 +117,7 @@ def _report_lamps(lit: LitBall, is_perspective: bool) -> None:
     away = [f"{1.0 / lamp.closeness:.0f}" if lamp.closeness else "over 100" for lamp in lit.lamps]
     say(f"  lamps' distance   {', '.join(away)} radii of the ball (red, green, blue)")
     if not is_perspective:
-        say("                    (or nearer: --camera or --focal-px tells, and lets M change with it)")
+        say("                    (or nearer: give --camera or --focal-px to measure it)")
     room = ", ".join(f"{100.0 * share:.1f}" for share in lit.room)
     say(f"  light of the room {f'{room} % of full scale' if lit.is_room_known else 'not told'}")
 
@@ -229,13 +218,10 @@ def report_rig(out: Path, rig: Rig, seen: str) -> None:
 
 
 @dataclass(frozen=True, kw_only=True)
-class HeadArguments(
-    FootageArguments, HeadOptions, FollowOptions, SilhouetteOptions, TrackOptions, PoseOptions, HullOptions,
-    StereoOptions, FusionOptions, SampleOptions, LightOptions,
-):  # fmt: skip
+class HeadArguments(FootageArguments, HeadOptions):
     """What `calibrate_head` takes."""
 
-    WITHOUT: ClassVar[tuple[str, ...]] = ("single_light", "neighbour_angles_deg")
+    WITHOUT: ClassVar[tuple[str, ...]] = ("single_light",)
 
     source: Source = field(kw_only=False)
     """A video, a folder of images, or a pattern."""
@@ -323,9 +309,9 @@ class PressesArguments(CornerOptions, CurveOptions, AllowOptions, SensorOptions,
 def calibrate_presses(asked: PressesArguments) -> Rig:
     """Calibrate a tactile sensor on presses of a ball of known size into its gel.
 
-    The contact circles are found. The rig keeps --corners, so that `reconstruct` and `live` rectify without
-    being told; give both a --background, the gel untouched. Depth is 0 at the untouched gel and negative in a
-    dent, which is nearer to the camera.
+    The contact circles are found. The rig keeps --corners, so `reconstruct` and `live` rectify the picture
+    without them. Both need --background, a picture of the untouched gel. Depth is 0 at the untouched gel and
+    negative in a dent, which is nearer to the camera.
     """
     require_known_checks(asked.allow)
     require_output(Path(asked.out), JSON)

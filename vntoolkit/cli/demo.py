@@ -9,7 +9,7 @@ from vntoolkit.options.base import File
 from vntoolkit.options.shared import JobOptions
 from vntoolkit.options.simulation import DemoOptions
 from vntoolkit.pipeline.demo import GARMENT, RECONSTRUCTION, run_demo
-from vntoolkit.pipeline.opened_result import OpenedResult, open_result
+from vntoolkit.pipeline.opened_result import OpenedResult, read_result
 from vntoolkit.pipeline.truth_comparison import compare_frame_with_truth
 from vntoolkit.report.report import write_report
 from vntoolkit.report.truth_section import truth_section
@@ -39,7 +39,7 @@ def demo(asked: DemoArguments) -> OpenedResult:
             on_start=bars.begin, on_frame=bars.step,
         )  # fmt: skip
     made, truth = root / RECONSTRUCTION, root / GARMENT
-    result = open_result(made)
+    result = read_result(made)
     page = write_report(made, root / "report.html", extra=[truth_section(result, truth)])
     middle = compare_frame_with_truth(result, truth, result.numbers[len(result.numbers) // 2])
     say(

@@ -13,13 +13,13 @@ from dataclasses import dataclass, field
 from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from vntoolkit import __version__, native
+from vntoolkit import __version__, libraries
 from vntoolkit.cli.given import curve_from_text
 from vntoolkit.cli.output import print_next
 from vntoolkit.cli.verb import command, verb
@@ -27,6 +27,7 @@ from vntoolkit.errors import BadCapture, BadInput, escaped
 from vntoolkit.options.base import OptionalFile, as_path, named
 from vntoolkit.options.footage import Gaps, MatteOptions, PictureLimits, SensorOptions
 from vntoolkit.options.shared import BackgroundOptions
+from vntoolkit.shipped import with_guide
 
 if TYPE_CHECKING:
     from vntoolkit.diagnosis.inspection import CaptureReport
@@ -110,8 +111,11 @@ def doctor_command(asked: DoctorArguments) -> int:
     report: CaptureReport = inspect_footage.run(asked)  # type: ignore[attr-defined]
     _print_report(Console(emoji=False), str(asked.source), report)
     fatal = any(finding.level is Level.FATAL for finding in report.findings)
-    if not fatal:
-        print_next("reconstruct", str(asked.source), "--rig", asked.rig or "rig.json", "--out", "result")
+    rig = Path(asked.rig or "rig.json")
+    if not fatal and rig.is_file():
+        print_next("reconstruct", str(asked.source), "--rig", rig, "--out", "result")
+    elif not fatal:
+        print_next("board", "--out", "board.pdf")
     return int(fatal)
 
 
@@ -125,31 +129,32 @@ class _Trial:
 
 def _check_libraries(console: Console) -> int:
     """Import each library and read a video back; a library that crashes takes only its own process along."""
-    table = Table(title=f"vntoolkit {__version__}, Python {platform.python_version()}", title_justify="left")
-    for heading in ("library", "version", "for", "works"):
+    title = f"vntoolkit {__version__}, Python {platform.python_version()}"
+    table = Table(title=title, title_justify="left", box=None, pad_edge=False)
+    for heading in ("library", "works", "version", "for"):
         table.add_column(heading, no_wrap=True)
     programs = [f"import {module}" for _, module, _ in _LIBRARIES]
     programs.append(_TRY_VIDEO)
     with console.status("importing every library"), ThreadPoolExecutor(max_workers=2) as pool:
         trials = list(pool.map(_try, programs))
     lines = []
-    missing = native.missing_libraries(
-        {**native.OPEN3D_LIBRARIES, **native.PYMESHLAB_LIBRARIES, **native.NUMBA_LIBRARIES}
+    missing = libraries.missing_libraries(
+        {**libraries.OPEN3D_LIBRARIES, **libraries.PYMESHLAB_LIBRARIES, **libraries.NUMBA_LIBRARIES}
     )
     for (name, _, purpose), trial in zip(_LIBRARIES, trials, strict=False):
         shown, its_version = _installed(name)
-        table.add_row(shown, its_version, purpose, "[red]no" if trial.fault else "yes")
+        table.add_row(shown, "[red]no" if trial.fault else "yes", its_version, purpose)
         missing |= trial.missing
         if its_version == "absent":
             lines.append(f"{shown}: is not installed; pip install {shown}")
         elif trial.fault:
             step = "" if trial.missing else f"; pip install --force-reinstall {shown}"
             lines.append(f"{shown}: {trial.fault}{step}")
-    table.add_row("a video", "", "written and read back", "[red]no" if trials[-1].fault else "yes")
+    table.add_row("a video", "[red]no" if trials[-1].fault else "yes", "", "written and read back")
     if trials[-1].fault:
         lines.append(f"a video cannot be written and read back: {trials[-1].fault}")
     if missing:
-        lines.append(f"this system lacks {', '.join(missing)}: {native.remedy(missing)}")
+        lines.append(f"this system lacks {', '.join(missing)}: {libraries.remedy(missing)}")
     console.print(table)
     for line in lines:
         console.print(f"[red]broken[/] {escape(line)}", highlight=False, soft_wrap=True)
@@ -162,7 +167,7 @@ def _check_libraries(console: Console) -> int:
 def _installed(name: str) -> tuple[str, str]:
     """Return a distribution's name and version."""
     if name == "open3d":
-        return native.open3d_distribution()
+        return libraries.open3d_distribution()
     try:
         return name, version(name)
     except PackageNotFoundError:
@@ -177,7 +182,7 @@ def _try(program: str) -> _Trial:
     except subprocess.TimeoutExpired:
         return _Trial(fault=f"did not end within {_LONGEST_S:g} s")
     text = (done.stdout + done.stderr).decode(errors="replace").strip()
-    missing = native.libraries_named_in(text)
+    missing = libraries.libraries_named_in(text)
     if missing:
         return _Trial(fault=f"needs {', '.join(missing)}", missing=missing)
     if done.returncode < 0:
@@ -229,7 +234,8 @@ def _stated_and_done(report: CaptureReport) -> list[tuple[str, str, str]]:
 
 def _print_report(console: Console, source: str, report: CaptureReport) -> None:
     info = report.info
-    table = Table(title=escape(escaped(source)), show_header=False, title_justify="left")
+    plain: dict[str, Any] = {"title_justify": "left", "box": None, "pad_edge": False}
+    table = Table(title=escape(escaped(source)), show_header=False, **plain)
     table.add_column(style="bold")
     table.add_column()
     rate = "" if info.frame_rate_hz is None else f", {info.frame_rate_hz:g} per second"
@@ -244,7 +250,7 @@ def _print_report(console: Console, source: str, report: CaptureReport) -> None:
     table.add_row("dark", f"{report.dark_share:.2%} of the pixels below 1 % of full scale")
     table.add_row("brightest", f"{report.brightest:.0%} of full scale (99th percentile)")
     console.print(table)
-    stated = Table(title="what the file states, and what is done with it", title_justify="left")
+    stated = Table(title="what the file states, and what is done with it", **plain)
     for heading in ("of", "stated", "done"):
         stated.add_column(heading)
     for row in _stated_and_done(report):
@@ -253,7 +259,7 @@ def _print_report(console: Console, source: str, report: CaptureReport) -> None:
     for finding in report.findings:
         colour = _COLOURS[finding.level.value]
         console.print(
-            f"[{colour}]{finding.level.value:>8}[/]  {escape(finding.text)}",
+            f"[{colour}]{finding.level.value:>8}[/]  {escape(with_guide(finding.text))}",
             highlight=False,
             soft_wrap=True,
         )

@@ -17,7 +17,6 @@ from vntoolkit.evaluation.angular_error import AngularError
 from vntoolkit.evaluation.track_error import TrackError
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.point_cloud import PointCloud
-from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.maps_and_meshes.meshes import read_mesh
 from vntoolkit.io.results.folder import write_lock
 from vntoolkit.options.base import File, Named, OptionalFile, Options, as_path, named
@@ -27,7 +26,7 @@ from vntoolkit.options.footage import MeshLimits, PictureLimits
 from vntoolkit.options.shared import FrameOptions, MovedFootageOptions
 from vntoolkit.pipeline import evaluate
 from vntoolkit.pipeline.evaluate import evaluate_cylinder as run
-from vntoolkit.pipeline.opened_result import open_result
+from vntoolkit.pipeline.opened_result import read_result
 from vntoolkit.report import figures
 
 _LOGGER = logging.getLogger(__name__)
@@ -257,8 +256,7 @@ def evaluate_cylinder(asked: CylinderArguments) -> evaluate.CylinderEvaluation:
     out = Path(asked.out)
     require_output(out / "cylinder.json")
     with write_lock(out):
-        frames = FrameRange.from_text(asked.frames or "::")
-        result = open_result(Path(asked.folder), frames=frames, footage=asked.footage)
+        result = read_result(asked.folder, frames=asked.frames, footage=asked.footage)
         with progress_bar("cylinder", 2 * len(result.numbers)) as advance:
             found = run(result, asked.truth, lambda _number: advance(1))
         write_json(out / "cylinder.json", found)

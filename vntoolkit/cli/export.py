@@ -7,7 +7,6 @@ from typing import ClassVar
 
 from vntoolkit.cli.output import ProgressBars, print_next, print_next_program, say
 from vntoolkit.cli.verb import command, verb
-from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.options.base import File, OptionalFile, named
 from vntoolkit.options.export import CleanOptions, ExportFormat, ExportFormatName, ExportOptions
 from vntoolkit.options.footage import ReadingLimits
@@ -55,7 +54,7 @@ def export(asked: ExportArguments) -> Path:
         folder=Path(asked.folder),
         options=replace(asked.part(ExportOptions), cleaning=cleaning if cleans else None),
         out=asked.out,
-        frames=FrameRange.from_text(asked.frames or "::"),
+        frames=asked.frames,
         footage=asked.footage,
         background=asked.background,
     )

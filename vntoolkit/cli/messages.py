@@ -14,6 +14,7 @@ from cyclopts import Argument, CycloptsError
 from cyclopts.exceptions import ConsumeMultipleError, MissingArgumentError, UnusedCliTokensError
 
 from vntoolkit.errors import printable_line
+from vntoolkit.shipped import with_guide
 
 _TYPES = {
     "int": "a whole number", "float": "a number", "bool": "true or false",
@@ -92,7 +93,7 @@ class OneLineFormatter(logging.Formatter):
 
     def formatMessage(self, record: logging.LogRecord) -> str:
         """Return the line."""
-        return printable_line(super().formatMessage(record))
+        return printable_line(with_guide(super().formatMessage(record)))
 
 
 def line_from_refusal(error: OSError) -> str:

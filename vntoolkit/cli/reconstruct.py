@@ -12,6 +12,7 @@ from vntoolkit.diagnosis.finding import require_known_checks
 from vntoolkit.errors import BadCapture
 from vntoolkit.io.footage.captures import CaptureOptions, open_capture
 from vntoolkit.io.footage.frame_range import FrameRange
+from vntoolkit.io.results.manifest import ReconstructionFolder
 from vntoolkit.io.rigs import read_rig
 from vntoolkit.options.base import File, Named, OptionalFile, Source, as_path, named
 from vntoolkit.options.depth import IntegrationOptions, MeshOptions
@@ -21,8 +22,7 @@ from vntoolkit.options.reconstruction import ReconstructOptions
 from vntoolkit.options.shared import AllowOptions, BackgroundOptions, CornerOptions, FrameOptions, JobOptions
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import Transfer
-from vntoolkit.pipeline.opened_result import OpenedResult, open_result
-from vntoolkit.pipeline.outputs import ReconstructionFolder
+from vntoolkit.pipeline.opened_result import OpenedResult, read_result
 from vntoolkit.pipeline.reconstruct import ReconstructionSummary
 from vntoolkit.pipeline.reconstruct import reconstruct as run
 from vntoolkit.pipeline.request import Request
@@ -91,8 +91,8 @@ class ReconstructArguments(CornerOptions, RunArguments):
     """White where the subject is, of the footage's size: an image, or a video, a folder or a pattern with a
     matte for each frame."""
     transfer: str | None = None
-    """Transfer curve of the footage, linear, srgb, bt709, gamma:G, pq, hlg, slog3, vlog, clog3 or logc3, even
-    where the file states another. Default: the rig's."""
+    """Transfer curve of the footage: linear, srgb, bt709, gamma:G, pq, hlg, slog3, vlog, clog3 or logc3. It
+    overrides the curve that the file states. Default: the rig's."""
 
 
 @verb(ReconstructArguments)
@@ -130,7 +130,7 @@ def reconstruct(asked: ReconstructArguments) -> OpenedResult:
     if summary.loss:
         raise BadCapture(f"{source}: {summary.loss}")
     print_next("view", summary.folder)
-    return open_result(Path(asked.out))
+    return read_result(asked.out)
 
 
 reconstruct_command = command(reconstruct)

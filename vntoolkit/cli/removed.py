@@ -15,6 +15,15 @@ REMOVED: dict[str, str] = {
     "--field-width": "is --field-width-m now",
     "--frame-rate": "is --frame-rate-hz now",
 }
+_OF_HEADS = (
+    "corner-spacing-px window-px margin-px pose-tracks least-turn-deg hull-cells references stereo-window-px "
+    "before behind least-correlation smoothing-px fusion-depth agreement confirmations hull-gap light-frames "
+    "light-points light-draws light-inlier"
+)
+REMOVED |= dict.fromkeys(
+    (f"--{name}" for name in _OF_HEADS.split()),
+    "was removed: `vntoolkit calibrate head` knows it; leave it out, and film closely what comes out badly",
+)
 
 
 def require_no_removed(*words: str) -> None:

@@ -11,7 +11,7 @@ from vntoolkit.io.results.manifest import read_manifest
 from vntoolkit.options.base import File, OptionalFile, named
 from vntoolkit.options.footage import ReadingLimits
 from vntoolkit.options.pages import ReportOptions
-from vntoolkit.pipeline.opened_result import open_result
+from vntoolkit.pipeline.opened_result import read_result
 from vntoolkit.report import report as pages
 
 
@@ -43,7 +43,7 @@ def report_command(asked: ReportArguments) -> None:
     """Print the page's name and what comes next."""
     folder = Path(asked.folder)
     if asked.json:
-        print(json.dumps(pages.content_of_report(open_result(folder)), indent=1))
+        print(json.dumps(pages.content_of_report(read_result(folder)), indent=1))
         return
     say(_written(asked))
     if (folder / "track").is_dir():

@@ -62,8 +62,13 @@ def simulate(asked: SimulateArguments) -> Path:
         )  # fmt: skip
     out, scene = Path(asked.out), asked.scene
     say(f"{out}: {summary.frames} frames of {scene} in capture.mkv, {summary.rendered} rendered now")
+    video, own_rig = job.folder.video, job.folder.truth / "rig.json"
     if scene in ("board", "sphere"):
-        print_next("calibrate", scene, job.folder.video, "--out", "rig.json")
+        print_next("calibrate", scene, video, "--out", "rig.json")
+    elif scene == "board_sweep":
+        print_next("calibrate", "board", video, "--degree", "2", "--out", "rig.json")
+    elif scene == "head_turn":
+        print_next("calibrate", "head", video, "--camera", own_rig, "--out", "rig.json")
     elif scene == "gel" and summary.frames == 1:
         presses = out.with_name("presses")
         print_next("simulate", scene, "--out", presses, "--frames", "1:25", "--size", asked.size)
@@ -71,9 +76,11 @@ def simulate(asked: SimulateArguments) -> Path:
         radius, pixel = (f"{job.built.facts[name]:g}" for name in ("ball_radius_mm", "pixel_mm"))
         ball = ("--ball-radius-mm", radius, "--pixel-mm", pixel)
         rest = out.with_name("rest") / "capture.mkv"
-        print_next("calibrate", "presses", job.folder.video, "--background", rest, *ball, "--out", "gel.json")
-    else:
-        print_next("reconstruct", job.folder.video, "--rig", "rig.json", "--out", "result")
+        print_next("calibrate", "presses", video, "--background", rest, *ball, "--out", "gel.json")
+    elif own_rig.is_file():
+        print_next("reconstruct", video, "--rig", own_rig, "--out", "result")
+    else:  # under one lamp
+        print_next("doctor", video)
     return out
 
 

@@ -31,14 +31,14 @@ R = TypeVar("R")
 
 _OUTPUTS = ("out", "figure", "mesh", "report", "html", "overlay", "record_to")
 _PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".exr")
-# Panel of `--help` -> the flags in it, of every verb; those that none names are of the method.
+# Panel of `--help` -> the flags in it, of every verb; those that none names are of the method. What has no
+# flag is input.
 _PANELS: dict[str, tuple[str, ...]] = {
     "Input": (
-        "source", "sources", "folder", "folders", "scene", "measured", "reference", "rig", "camera", "video",
-        "like", "frames", "gaps", "background", "transfer", "bayer", "demosaic", "bits", "footage", "motion",
-        "skeleton", "fit", "truth", "single_light", "focal_px", "data", "labels", "label_size", "lights",
-        "measured_convention", "reference_convention", "allow", "width", "height", "rate", "realtime", "size",
-        "seconds", "crop", "frame_rate_hz",
+        "rig", "camera", "video", "like", "frames", "gaps", "background", "transfer", "bayer", "demosaic",
+        "bits", "footage", "motion", "skeleton", "fit", "truth", "single_light", "focal_px", "data",
+        "labels", "label_size", "lights", "measured_convention", "reference_convention", "allow", "width",
+        "height", "rate", "realtime", "size", "seconds", "crop", "frame_rate_hz",
     ),
     "Subject": (
         "mask", "mask_level", "key", "distance", "corners", "size_mm", "pixel_mm", "ball_radius_mm",
@@ -46,19 +46,15 @@ _PANELS: dict[str, tuple[str, ...]] = {
     ),
     "Method": (),
     "Output": (
-        "out", "to", "overwrite", "figure", "overlay", "report", "html", "mesh_out", "preview", "page",
-        "record_to",
-        "vertices", "picture_px", "most_frames", "picture_height", "units", "up", "scale",
+        "out", "to", "overwrite", "figure", "overlay", "report", "html", "mesh", "preview", "page",
+        "record_to", "vertices", "picture_px", "most_frames", "picture_height", "units", "up", "scale",
     ),
     "Machine": ("jobs", "scheduler", "host", "port", "max_megapixels", "max_vertices"),
     "Expert": (
         "albedo_tolerance", "darkest", "clipped", "steepest_slope_deg", "least_weight", "precision",
         "tolerance", "most_iterations", "largest_step", "shadow_share", "outlier_sigmas", "inlier_share",
         "largest_error_px", "radial_terms", "tangential", "rim_share", "contact_share", "flat_share",
-        "hull_cells", "corner_spacing_px", "window_px", "margin_px", "pose_tracks", "least_turn_deg",
-        "references", "stereo_window_px", "before", "behind", "least_correlation", "smoothing_px",
-        "fusion_depth", "agreement", "confirmations", "hull_gap", "light_frames", "light_points",
-        "light_draws", "light_inlier", "threshold", "neighbours",
+        "threshold", "neighbours",
     ),
 }  # fmt: skip
 _PANEL_OF = {name: panel for panel, names in _PANELS.items() for name in names}
@@ -186,7 +182,7 @@ def _flags(arguments: Any) -> list[inspect.Parameter]:
         is_tuple = any(get_origin(member) is tuple for member in members_of(hint))
         parameter = Parameter(
             help=docs[given.name],
-            group=_GROUPS[_PANEL_OF.get(given.name, "Method")],
+            group=_GROUPS[_PANEL_OF.get(given.name, "Method") if is_flag else "Input"],
             negative=None if given.default is True else (),
             negative_iterable=(),  # --exclude A B, and no --empty-exclude
             consume_multiple=True if is_tuple else None,

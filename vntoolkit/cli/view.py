@@ -7,12 +7,11 @@ from pathlib import Path
 
 from vntoolkit.cli.output import PAGE, print_next, progress_bar, require_output, say
 from vntoolkit.cli.verb import command, verb
-from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.options.base import File, OptionalFile, named
 from vntoolkit.options.footage import ReadingLimits
 from vntoolkit.options.pages import ScenePageOptions, ViewerOptions
 from vntoolkit.options.shared import FrameOptions, MovedFootageOptions
-from vntoolkit.pipeline.opened_result import OpenedResult, open_result
+from vntoolkit.pipeline.opened_result import OpenedResult, read_result
 from vntoolkit.report.result_scene import ResultViewer, counted, write_scene
 
 
@@ -28,8 +27,7 @@ class ViewArguments(FrameOptions, MovedFootageOptions, ViewerOptions, ScenePageO
 
 def _opened(asked: ViewArguments) -> OpenedResult:
     require_output(asked.html, PAGE)
-    frames = FrameRange.from_text(asked.frames or "::")
-    return open_result(Path(asked.folder), frames=frames, footage=asked.footage)
+    return read_result(asked.folder, frames=asked.frames, footage=asked.footage)
 
 
 def _written(asked: ViewArguments, result: OpenedResult, html: Path) -> int:
@@ -43,9 +41,9 @@ def _written(asked: ViewArguments, result: OpenedResult, html: Path) -> int:
 
 @verb(ViewArguments)
 def view(asked: ViewArguments) -> ResultViewer | Path:
-    """Serve a page on which one scrubs through a reconstruction and drags a light; or write one to keep.
+    """Serve a page that shows a reconstruction: move through its frames, drag a light. Or write such a page.
 
-    In Python the server is returned: `.address` is its page, and `.close()` ends it; or the page's name.
+    In Python the server is returned, of which `.address` is the page and `.close()` ends it; or the file.
     """
     result = _opened(asked)
     if asked.html is None:

@@ -24,7 +24,7 @@ import numpy as np
 
 from vntoolkit.arrays import FloatArray
 from vntoolkit.diagnosis.evidence import FEWEST_PIXELS, Evidence, brightest_channel, lengths_of
-from vntoolkit.diagnosis.finding import CLEAR_Z, Finding, Level, certainty_from_z
+from vntoolkit.diagnosis.finding import CLEAR_Z, Finding, Level
 from vntoolkit.diagnosis.surface_pixels import (
     SurfacePixels,
     regress_lengths,
@@ -63,8 +63,7 @@ def check_black_level(evidence: Evidence) -> list[Finding]:
                 f"{found.error:.2f} times what they foretell on the subject: normals turn by "
                 f"{found.turn_deg:.1f} degrees"
             )
-            sure = certainty_from_z(found.slope / max(found.error, 1e-6))
-            return [Finding.of(name, certainty=sure, measured=measured)]
+            return [Finding.of(name, measured=measured)]
     return []
 
 
@@ -146,10 +145,8 @@ def check_gloss(evidence: Evidence) -> list[Finding]:
         return []
     turns = strength * lengths_of(added - longer[:, None] * normals)
     turn_deg = float(np.degrees(np.percentile(turns, _TAIL)))
-    level, sure = Level.WARNING if turn_deg > _NOTED_DEG else Level.NOTE, certainty_from_z(strength / error)
-    return [
-        Finding.of("gloss", level=level, certainty=sure, turn_deg=turn_deg, strength=strength, error=error)
-    ]
+    level = Level.WARNING if turn_deg > _NOTED_DEG else Level.NOTE
+    return [Finding.of("gloss", level=level, turn_deg=turn_deg, strength=strength, error=error)]
 
 
 def _highlights(evidence: Evidence, pixels: SurfacePixels, normals: FloatArray) -> FloatArray:

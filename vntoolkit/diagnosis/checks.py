@@ -7,7 +7,7 @@ import numpy as np
 from vntoolkit.diagnosis.added_light import check_black_level, check_gloss
 from vntoolkit.diagnosis.evidence import Evidence, brightest_channel
 from vntoolkit.diagnosis.finding import Finding, Level
-from vntoolkit.diagnosis.outline import check_cast_shadows, check_outline
+from vntoolkit.diagnosis.outline import check_outline
 from vntoolkit.diagnosis.rig_checks import (
     check_camera,
     check_coverage,
@@ -64,7 +64,6 @@ CAPTURE_CHECKS: tuple[tuple[Callable[[Evidence], list[Finding]], ...], ...] = (
     (check_outline, check_calibrated_transfer, check_transfer),
     (check_gloss,),
     (check_black_level,),
-    (check_cast_shadows,),
     (check_white_balance, check_changing_gains),
 )
 

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from vntoolkit.diagnosis.finding import Finding
-from vntoolkit.io.results.folder import numbers_in_words
+from vntoolkit.io.results.numbered_files import numbers_in_words
 
 
 def finding_from_empty_frames(empty: Sequence[int], count: int) -> Finding:

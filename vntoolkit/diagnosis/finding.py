@@ -1,7 +1,6 @@
 """What a check found, and the decision, the same for every verb, whether a run goes on."""
 
 import logging
-import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import Enum
@@ -10,7 +9,6 @@ from typing import Self
 from vntoolkit.errors import BadInput, VntError
 
 logger = logging.getLogger(__name__)
-_SUREST = 0.999  # a certainty is capped here: the model behind it is no surer
 CLEAR_Z = 4.0  # standard errors from chance, from which most checks say something
 
 
@@ -28,8 +26,7 @@ class Finding:
 
     check: name of the check, which `--allow` takes. level: what it does to a run. problem: what is wrong.
     measured, expected: the number that says so, and what it is on sound footage, both as text with unit.
-    remedy: what to do. certainty: probability, 0.5 to 1, that the measured number is no accident of noise; 1
-    for what was counted or read and not estimated.
+    remedy: what to do.
     """
 
     check: str
@@ -38,10 +35,9 @@ class Finding:
     measured: str
     expected: str
     remedy: str
-    certainty: float = 1.0
 
     @classmethod
-    def of(cls, name: str, *, level: Level | None = None, certainty: float = 1.0, **values: object) -> Self:
+    def of(cls, name: str, *, level: Level | None = None, **values: object) -> Self:
         """Return the finding `name` of the table, with what was measured; level: another than its usual."""
         from vntoolkit.diagnosis.table import TABLE  # only a run that finds something loads it
 
@@ -54,15 +50,13 @@ class Finding:
             measured=measured,
             expected=expected,
             remedy=remedy,
-            certainty=certainty,
         )
 
     @property
     def text(self) -> str:
         """The finding on one line."""
-        sure = "" if self.certainty >= 1.0 else f", {self._percent()} sure"
         return (
-            f"{self.problem}: measured {self.measured}, expected {self.expected}{sure}; {self.remedy} "
+            f"{self.problem}: measured {self.measured}, expected {self.expected}; {self.remedy} "
             f"[{self.check}], see {self.page}"
         )
 
@@ -71,17 +65,9 @@ class Finding:
         """Where the guide tells its cause and its remedy."""
         return f"docs/wrong.md#{self.check}"
 
-    def _percent(self) -> str:
-        return f"over {_SUREST:.1%}" if self.certainty >= _SUREST else f"{self.certainty:.0%}"
-
 
 class FatalFinding(VntError):
     """Footage, rig or calibration would give wrong results; the message says how to go on all the same."""
-
-
-def certainty_from_z(z: float) -> float:
-    """Return the probability that a number `z` standard errors away from chance is not chance."""
-    return min(_SUREST, 0.5 * (1.0 + math.erf(abs(z) / math.sqrt(2.0))))
 
 
 def judge(findings: Iterable[Finding], allowed: Iterable[str] = ()) -> None:

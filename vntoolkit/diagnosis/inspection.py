@@ -10,7 +10,7 @@ import numpy as np
 from vntoolkit.arrays import Mask
 from vntoolkit.checks import require_positive
 from vntoolkit.diagnosis import evidence as evidences
-from vntoolkit.diagnosis import over_time
+from vntoolkit.diagnosis import flicker
 from vntoolkit.diagnosis import sharpness as sharp
 from vntoolkit.diagnosis.checks import findings_from_evidence, findings_from_rig
 from vntoolkit.diagnosis.empty_frames import finding_from_empty_frames
@@ -184,14 +184,14 @@ def examine_capture(
     numbers: Sequence[int] | None = None,
     in_one_material: Callable[[LinearFrame], LinearFrame] | None = None,
 ) -> Examination:
-    """Check a capture: clipping and drift, and with a rig all that `checks` lists, and how near lamps are.
+    """Check a capture: clipping, and with a rig all that `checks` lists, and how near lamps are.
 
     rig: its transfer is the one it was calibrated with; the capture's own options say how it is read. mask:
     (h, w) where the surface is. numbers: the frames that matter, default all; a few of them are read.
     in_one_material: makes a frame of several materials look as if it were of the rig's alone. Raises
     `BadCapture` for a frame that cannot be read.
     """
-    frames, in_a_row = _frames_to_judge(capture, numbers, over_time.FRAMES_IN_A_ROW)
+    frames, in_a_row = _frames_to_judge(capture, numbers, flicker.FRAMES_IN_A_ROW)
     findings = [*findings_from_channels(capture.info), *findings_from_clipping(frames, mask)]
     if capture.info.chroma == "grey" or not frames:
         return Examination(findings=findings)
@@ -225,8 +225,6 @@ def examine_capture(
         trusted = all(finding.level is Level.NOTE or finding.check == "drift" for finding in with_rig)
         if trusted and _is_wide(evidence):
             near = fit_nearness(evidence)
-    if drift := over_time.findings_from_drift(small):  # what stands still tells more than the subject did
-        findings = [*(finding for finding in findings if finding.check != "drift"), *drift]
     if any(finding.level is Level.FATAL for finding in findings):
         return Examination(findings=findings)
     findings += _findings_over_time(in_a_row, rig, capture.transfer, mask)
@@ -285,15 +283,10 @@ def _findings_over_time(
     in_a_row: Sequence[LinearFrame], rig: Rig | None, transfer: Transfer, mask: Mask | None
 ) -> list[Finding]:
     """Compare consecutive frames, averaged down, with each other."""
-    if len(in_a_row) < 2:
+    if rig is None or len(in_a_row) < 3:
         return []
-    findings = over_time.findings_from_motion(in_a_row, mask)
-    if rig is None or findings:
-        return findings
     evidence = evidences.evidence_from_frames(in_a_row, rig, transfer, mask)
-    return (
-        (over_time.check_flicker(evidence) or over_time.check_bands(evidence)) if _is_wide(evidence) else []
-    )
+    return (flicker.check_flicker(evidence) or flicker.check_bands(evidence)) if _is_wide(evidence) else []
 
 
 def findings_from_calibration_footage(

@@ -13,7 +13,7 @@ import numpy as np
 
 from vntoolkit.arrays import FloatArray
 from vntoolkit.diagnosis.evidence import FEWEST_PIXELS, Evidence
-from vntoolkit.diagnosis.finding import Finding, certainty_from_z
+from vntoolkit.diagnosis.finding import Finding
 from vntoolkit.diagnosis.surface_pixels import SurfacePixels, regress_lengths, surface_pixels, without_levels
 from vntoolkit.photometry.response import LightResponse, changes_of_near_lamps
 
@@ -106,5 +106,4 @@ def _error_of_patterns(
 def finding_from_nearness(near: Nearness) -> Finding:
     """Note lamps that stand near, where M is one for the whole picture."""
     sides = [0.5 / value for value in (near.value, near.value + near.error, near.value - near.error)]
-    sure = certainty_from_z(near.value / near.error)
-    return Finding.of("near-lamps", certainty=sure, distance=sides[0], least=sides[1], most=sides[2])
+    return Finding.of("near-lamps", distance=sides[0], least=sides[1], most=sides[2])

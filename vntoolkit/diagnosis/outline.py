@@ -1,16 +1,10 @@
-"""Are axes reversed? The outline and cast shadows tell of both, the curl of slopes of one.
+"""Are axes reversed? The outline tells of both, the curl of slopes of one.
 
 Slopes cannot tell convex from concave.
 
 Where a closed surface ends before a darker backdrop it turns away from the camera, so that its normals lean
 outwards. The mean of their outward part along the outline is 0.3 to 0.95 on bodies, heads and statues, and
 near 0 at the border of a sheet, which says nothing. Both axes of M reversed make it negative.
-
-A cast shadow lies on the far side of what throws it. Where it ends the surface faces the lamp, so that
-brightness jumps, and the shadow lies towards the lamp from there. Where a surface only turns away from a lamp
-brightness falls to 0 without a jump, and this says nothing. The mean part of the way into the shadow that
-leads towards the lamp, over the rims of all shadows and weighted by the jump, is 0.2 to 0.7 on faces and
-statues; both axes of M reversed make it negative.
 """
 
 import logging
@@ -31,7 +25,7 @@ from vntoolkit.diagnosis.evidence import (
     scaled_normals,
     silhouette,
 )
-from vntoolkit.diagnosis.finding import CLEAR_Z, Finding, Level, certainty_from_z
+from vntoolkit.diagnosis.finding import CLEAR_Z, Finding, Level
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.options.export import NormalConvention
 
@@ -41,13 +35,6 @@ _BORDER_PX = 6  # an outline made by the picture's border is none
 _FEWEST_PIXELS = 100
 _TURNED_INWARDS = -0.3
 _FATAL = -0.45
-# Cast shadows; brightness is of one channel over the length of its row of M.
-_DARK = 0.12  # of the brightest channel: the lamp is missing
-_SUBJECT = 0.3  # of the brightest thirtieth of the picture
-_BEYOND_PX = 2.5  # from the rim of a shadow to where its lit side is read
-_LEAST_JUMP = 0.3  # of the brightest channel
-_FEWEST_RIM_PIXELS = 30  # a frame; lips and irises lack a colour too, but their rims are short …
-_FEWEST_BLOCKS = 6  # … and in one place
 # The green axis of an imported normal map: a surface that exists has slopes without curl.
 _SMOOTHING_PX = 5
 _STEEPEST = 0.2  # least |n_z| of a slope that counts
@@ -63,32 +50,15 @@ def check_outline(evidence: Evidence) -> list[Finding]:
     outward, error = seen.outward(np.eye(2))
     if outward > _TURNED_INWARDS or -outward < CLEAR_Z * error:
         return []
-    level, sure = Level.FATAL if outward < _FATAL else Level.WARNING, certainty_from_z(outward / error)
-    return [Finding.of("outline", level=level, certainty=sure, outward=outward, error=error)]
-
-
-def check_cast_shadows(evidence: Evidence) -> list[Finding]:
-    """Find shadows that lie on the near side of what throws them, where the outline tells nothing."""
-    if (around := outline(evidence)) is not None:
-        outward, error = around.outward(np.eye(2))
-        if outward > max(-_TURNED_INWARDS, CLEAR_Z * error):
-            return []
-    seen = cast_shadows(evidence)
-    if seen is None:
-        return []
-    towards, error = seen.outward(np.eye(2))
-    if towards > _TURNED_INWARDS or -towards < CLEAR_Z * error:
-        return []
-    sure = certainty_from_z(towards / error)
-    return [Finding.of("outline/shadows", certainty=sure, towards=towards, error=error)]
+    level = Level.FATAL if outward < _FATAL else Level.WARNING
+    return [Finding.of("outline", level=level, outward=outward, error=error)]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Outline:
-    """products: (b, 2, 2) sums, over blocks, of a direction in the picture times one of the rig (x, y).
+    """products: (b, 2, 2) sums, over blocks, of the way outwards in the picture times the normal's (x, y).
 
-    counts: (b,) sums of their weights. At the outline: outwards, and the normal. At rims of shadows: inwards,
-    and towards the lamp.
+    counts: (b,) of their pixels.
     """
 
     products: FloatArray
@@ -124,46 +94,6 @@ def outline(evidence: Evidence) -> Outline | None:
             for j in range(2):
                 products[:, i, j] += np.bincount(where, outwards[:, i] * normals[:, j], blocks)
     if counts.sum() < _FEWEST_PIXELS * len(evidence.light):
-        return None
-    return Outline(products=products[counts > 0], counts=counts[counts > 0])
-
-
-@lru_cache(maxsize=2)
-def cast_shadows(evidence: Evidence) -> Outline | None:
-    """Measure on which side of its lit end every shadow lies; None where shadows with a jump are few."""
-    blocks = int(evidence.blocks.max()) + 1
-    products, counts, rims = np.zeros((blocks, 2, 2)), np.zeros(blocks), 0
-    rows = np.asarray(evidence.rig.response.matrix)
-    strengths = np.linalg.norm(rows, axis=1)
-    cell = np.ones((3, 3), np.uint8)
-    height, width = evidence.light.shape[1:3]
-    for k, light in enumerate(evidence.light):
-        lit = np.maximum(cv2.GaussianBlur(light, (0, 0), 0.8) - evidence.ambient, 0.0) / strengths
-        brightest = np.maximum(brightest_channel(lit), 1e-9)
-        subject = evidence.inside[k] & (brightest > _SUBJECT * np.percentile(brightest, 97))
-        for channel in range(3):
-            towards = rows[channel, :2] / max(float(np.linalg.norm(rows[channel, :2])), 1e-9)
-            share = lit[..., channel] / brightest
-            dark = np.asarray(
-                cv2.morphologyEx((subject & (share < _DARK)).astype(np.uint8), cv2.MORPH_OPEN, cell)
-            )
-            v, u = np.nonzero(dark - cv2.erode(dark, cell, borderValue=1))
-            if not len(v):
-                continue
-            into_v, into_u = np.gradient(cv2.GaussianBlur(dark.astype(np.float32), (0, 0), 1.5))
-            inwards = np.stack([into_u[v, u], into_v[v, u]], axis=1)
-            inwards /= np.maximum(lengths_of(inwards)[:, None], 1e-9)
-            to_u = np.clip(np.rint(u - _BEYOND_PX * inwards[:, 0]).astype(int), 0, width - 1)
-            to_v = np.clip(np.rint(v - _BEYOND_PX * inwards[:, 1]).astype(int), 0, height - 1)
-            jump = share[to_v, to_u] * subject[to_v, to_u]
-            jump[jump < _LEAST_JUMP] = 0.0
-            rims += int((jump > 0).sum())
-            where = evidence.blocks[v, u]
-            counts += np.bincount(where, jump, blocks)
-            for i in range(2):
-                for j in range(2):
-                    products[:, i, j] += np.bincount(where, jump * inwards[:, i] * towards[j], blocks)
-    if rims < _FEWEST_RIM_PIXELS * len(evidence.light) or int((counts > 0).sum()) < _FEWEST_BLOCKS:
         return None
     return Outline(products=products[counts > 0], counts=counts[counts > 0])
 

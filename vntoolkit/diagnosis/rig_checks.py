@@ -11,7 +11,7 @@ import numpy as np
 
 from vntoolkit.arrays import FloatArray
 from vntoolkit.diagnosis.evidence import FEWEST_PIXELS, Evidence
-from vntoolkit.diagnosis.finding import CLEAR_Z, Finding, Level, certainty_from_z
+from vntoolkit.diagnosis.finding import CLEAR_Z, Finding, Level
 from vntoolkit.diagnosis.surface_pixels import SurfacePixels, surface_pixels
 from vntoolkit.photometry.rig import Rig
 
@@ -116,7 +116,7 @@ def check_zoom(evidence: Evidence) -> list[Finding]:
     if z < CLEAR_Z:
         return []
     because = f"the lengths spread {spreads[own] / spreads[best]:.2f} times as much at 1"
-    return [Finding.of("zoom", certainty=certainty_from_z(z), zoom=zoom, because=because)]
+    return [Finding.of("zoom", zoom=zoom, because=because)]
 
 
 def _departures(rig: Rig, pixels: SurfacePixels, zoom: float) -> FloatArray:

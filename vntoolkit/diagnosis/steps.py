@@ -1,4 +1,4 @@
-"""What changes at once from one frame to the next: a lamp, for good or for one frame; a picture mirrored.
+"""What changes from frame to frame that the subject did not: a lamp, exposure, the way round of the picture.
 
 From a frame to the next, the light of a lamp changes in all parts of a picture by one factor if the lamp or
 the white balance changes, and here so and there so if the subject moves. The logarithms of the changes are
@@ -7,6 +7,10 @@ those of all frames, some that stand out against one spread. So the noise is the
 lamps share is exposure, which turns no normal.
 
 Channels that were filmed a frame apart change where the others changed a frame before.
+
+Exposure and white balance that drift change what surrounds the subject and does not move: most of the
+picture's border, by one factor. Where the subject fills the picture, or its surroundings are black, this
+tells nothing.
 """
 
 from collections.abc import Iterator
@@ -25,6 +29,8 @@ from vntoolkit.photometry.response import LightResponse
 _PARTS = 4  # of the picture, along each side
 _ALIKE = 1e-12  # squared light of frames that are the same
 _DARKEST = 0.001  # of full scale: a lamp that is out leaves so much
+_LIT = 0.02  # of full scale: what is darker may be noise
+_SAME_COLOUR = 0.01  # of the light: channels that drift alike, by exposure
 _ROUNDING = 0.002  # least spread of log changes: of 8 bits
 _FEWEST_CHANGES = 3  # have a spread
 _FEWEST_IN_A_ROW = 6  # frames, to tell channels that were filmed apart
@@ -78,7 +84,9 @@ def steps_of(survey: Survey, response: LightResponse | None = None) -> Steps:
     alone = {step.place for step in steps if step.alone}
     cuts = sorted({0, len(numbers), *flips} | {step.place for step in steps if not step.alone})
     runs = [[numbers[k] for k in range(a, b) if k not in alone] for a, b in pairwise(cuts)]
-    return Steps(findings=findings, alike=max(runs, key=len, default=numbers))
+    alike = max(runs, key=len, default=numbers)
+    findings += _findings_of_drift(survey.border[np.isin(survey.numbers, alike)], alike)
+    return Steps(findings=findings, alike=alike)
 
 
 def _lamp_steps(light: Float32Array, lit: Mask) -> Iterator[LampStep]:
@@ -198,6 +206,23 @@ def _findings_of_lag(light: Float32Array, numbers: list[int]) -> Iterator[Findin
                 early, late = (first, second) if sign > 0 else (second, first)
                 share = np.exp(np.mean(apart - same))
                 yield Finding.of("steps/lag", late=CHANNELS[late], early=CHANNELS[early], share=share)
+
+
+def _findings_of_drift(border: Float32Array, numbers: list[int]) -> list[Finding]:
+    """Find exposure or white balance that drifts. border: (n, b, 3), light of the picture's border."""
+    seen: Mask = np.asarray((border > _LIT).all(axis=(0, 2)))
+    if len(border) < 2 or not seen.any():
+        return []
+    change = np.log(border[1:, seen] / border[0, seen])
+    shared = np.median(change, axis=1)
+    still = (np.abs(change - shared[:, None]) < LARGEST_CHANGE).all(axis=(0, 2))
+    worst = int(np.abs(shared).max(axis=1).argmax())
+    if 2 * np.count_nonzero(still) < len(seen) or np.abs(shared[worst]).max() < LARGEST_CHANGE:
+        return []
+    red, green, blue = 100 * np.expm1(shared[worst])
+    what = "exposure" if np.ptp(shared[worst]) < _SAME_COLOUR else "white balance"
+    first, last = numbers[0], numbers[worst + 1]
+    return [Finding.of("drift", what=what, first=first, last=last, red=red, green=green, blue=blue)]
 
 
 def _mostly_more(logs: FloatArray) -> bool:

@@ -32,13 +32,14 @@ class Survey:
     """The light of frames in blocks.
 
     numbers: of the frames, in order. light: (n, v, u, 3), linear mean colours of blocks, 0 where one does
-    not count. lit: (n, v, u), where the subject may be. shows: (n,), True for a frame that shows as much of a
-    subject as is usual.
+    not count. lit: (n, v, u), where the subject may be. border: (n, b, 3), of the blocks at the picture's
+    border, whatever the mask. shows: (n,), True for a frame that shows as much of a subject as is usual.
     """
 
     numbers: tuple[int, ...]
     light: Float32Array
     lit: Mask
+    border: Float32Array
     shows: Mask
 
     @property
@@ -62,7 +63,9 @@ def survey_of(capture: Capture, mattes: Mattes, numbers: Sequence[int]) -> Surve
     step = seen[1] - seen[0] if len(seen) > 1 else 1
     even = seen == tuple(range(seen[0], seen[-1] + 1, step))
     frames = capture.encoded_frames(seen[0], seen[-1] + 1, step) if even else map(capture.encoded, seen)
-    light = np.stack([_light(capture, mattes, frame) for frame in frames])
+    light, border = (
+        np.stack(each) for each in zip(*(_light(capture, mattes, f) for f in frames), strict=True)
+    )
     brightest = brightest_channel(light)
     top = float(np.percentile(brightest, 99, axis=(1, 2)).max())
     transfer, levels = capture.transfer, 2.0 ** min(capture.info.bits, _MOST_BITS) - 1
@@ -70,16 +73,22 @@ def survey_of(capture: Capture, mattes: Mattes, numbers: Sequence[int]) -> Surve
     lit: Mask = brightest > max(SUBJECT * top, float(black))
     shares = lit.mean(axis=(1, 2))
     usual = float(np.median(shares[shares > 0])) if shares.any() else 1.0
-    return Survey(numbers=seen, light=light, lit=lit, shows=(shares > 0) & (shares >= _MUCH * usual))
+    shows = (shares > 0) & (shares >= _MUCH * usual)
+    return Survey(numbers=seen, light=light, lit=lit, border=border, shows=shows)
 
 
-def _light(capture: Capture, mattes: Mattes, frame: EncodedFrame) -> Float32Array:
+def _light(capture: Capture, mattes: Mattes, frame: EncodedFrame) -> tuple[Float32Array, Float32Array]:
+    """Return the light of blocks, (v, u, 3), and that of those at the border, masked or not, (b, 3)."""
+    whole, _ = _sums_of_blocks(frame, capture.transfer, capture.background)
+    everywhere = whole[..., :3] / whole[..., 3:]
+    sides = (everywhere[0], everywhere[-1], everywhere[1:-1, 0], everywhere[1:-1, -1])
     try:
         mask = mattes.of(frame)
     except NoSubject:
         mask = np.zeros(frame.values.shape[:2], np.bool_)
     sums, covered = _sums_of_blocks(frame, capture.transfer, capture.background, mask)
-    return np.where(covered, sums[..., :3] / np.maximum(sums[..., 3:], 1.0), 0.0).astype(np.float32)
+    light = np.where(covered, sums[..., :3] / np.maximum(sums[..., 3:], 1.0), 0.0)
+    return light.astype(np.float32), np.concatenate(sides)
 
 
 def albedo_in_blocks(
@@ -103,7 +112,7 @@ def albedo_in_blocks(
 
 
 def _sums_of_blocks(
-    frame: EncodedFrame, transfer: Transfer, background: LinearImage | None, mask: Mask | None
+    frame: EncodedFrame, transfer: Transfer, background: LinearImage | None, mask: Mask | None = None
 ) -> tuple[Float32Array, Mask]:
     """Return sums of linear colour and count over blocks (v, u, 4), and which blocks count (v, u, 1).
 

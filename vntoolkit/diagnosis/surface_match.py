@@ -28,7 +28,7 @@ from vntoolkit.diagnosis.evidence import (
     lengths_of,
     scaled_normals,
 )
-from vntoolkit.diagnosis.finding import Finding, Level, certainty_from_z
+from vntoolkit.diagnosis.finding import Finding, Level
 from vntoolkit.diagnosis.outline import outline
 
 _BLUR_PX = 1.5  # of averaged pixels: calms noise before differences are taken
@@ -59,8 +59,7 @@ def check_structure(evidence: Evidence) -> list[Finding]:
     if seen.pixels < FEWEST_PIXELS or not seen.faces_camera:
         return []
     if seen.is_noise:
-        sure = certainty_from_z((1.0 - seen.coherence) * math.sqrt(seen.pixels) / 10.0)
-        return [Finding.of("noise", certainty=sure, coherence=seen.coherence)]
+        return [Finding.of("noise", coherence=seen.coherence)]
     if seen.is_flat:
         return [Finding.of("flat", spread_deg=seen.own_deg)]
     return []
@@ -496,7 +495,6 @@ def _finding(own: _Reading, better: list[_Reading]) -> Finding:
     alike = (r for r in better[1:3] if r.misfit < best.misfit + _LOG_FACTOR or best.z_above(r) < _Z)
     named = [best, *alike]
     alone = own.front_share < 0.5
-    z = _Z * 2 if alone else best.z_above(own)
     fatal = alone or best.agreement - own.agreement > _FATAL_GAIN
     fits = "; or ".join(f"it is {r.agreement:.2f} {r.name}: {r.remedy}" for r in named)
     measured = (
@@ -504,8 +502,8 @@ def _finding(own: _Reading, better: list[_Reading]) -> Finding:
         if alone
         else f"an agreement of mixed derivatives of {own.agreement:.2f} ± {own.standard_error:.2f}"
     )
-    level, sure = Level.FATAL if fatal else Level.WARNING, certainty_from_z(z)
-    return Finding.of("relatives", level=level, certainty=sure, best=best.name, measured=measured, fits=fits)
+    level = Level.FATAL if fatal else Level.WARNING
+    return Finding.of("relatives", level=level, best=best.name, measured=measured, fits=fits)
 
 
 def _turn_deg(sums: _Sums) -> tuple[float, float]:

@@ -230,15 +230,6 @@ TABLE: dict[str, tuple[str, str, str, str, str]] = {
     ),
     "jump": (
         WARNING,
-        "the subject jumps from frame {first} to {second}: it cannot be followed there, so that no mesh "
-        "can be tracked through",
-        "{share:.0%} of its pixels not found again",
-        "less than 50%",
-        "film at a higher frame rate, or reconstruct every frame (--frames without a step) and track the "
-        "parts before and after a cut by themselves",
-    ),
-    "jump/tracks": (
-        WARNING,
         "tracking lost most of the surface in {low} of {count} frames, most in {worst}, at once between "
         "frames {first} and {second}",
         "{share:.0%} of the vertices reported visible",
@@ -309,14 +300,6 @@ TABLE: dict[str, tuple[str, str, str, str, str]] = {
         FATAL,
         "the normals turn inwards along the subject's outline, as if it were hollow",
         "a mean outward part of {outward:.2f} ± {error:.2f}",
-        "0 to 1",
-        "x and y of M both look reversed (lamps turned by 180 degrees): give lamps and normals with x "
-        "right, y down, z forward in rig.json, or calibrate again",
-    ),
-    "outline/shadows": (
-        WARNING,
-        "shadows lie on the near side of what throws them, as if the lamps stood opposite",
-        "a mean part of {towards:.2f} ± {error:.2f} of the way into a shadow that leads to its lamp",
         "0 to 1",
         "x and y of M both look reversed (lamps turned by 180 degrees): give lamps and normals with x "
         "right, y down, z forward in rig.json, or calibrate again",
@@ -470,9 +453,9 @@ TABLE: dict[str, tuple[str, str, str, str, str]] = {
     ),
     "transfer/calibrated": (
         WARNING,
-        "the footage is read as {given} but the rig was calibrated as {calibrated}, and the footage {says}",
-        "{measured}",
-        "0 where the curve is right, 1 where the rig's is",
+        "the footage is read with another curve than the rig was calibrated with",
+        "{given}",
+        "{calibrated}",
         "leave --transfer out, so that the rig's curve is used, or calibrate with this curve",
     ),
     "transfer/codec": (

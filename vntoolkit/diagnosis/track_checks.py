@@ -31,4 +31,4 @@ def findings_from_tracks(
     if not rise.max(initial=0.0) > np.log(_JUMP):
         return [Finding.of("lost", **lost)]
     where = int(np.argmax(rise))
-    return [Finding.of("jump/tracks", **lost, first=numbers[where], second=numbers[where + 1])]
+    return [Finding.of("jump", **lost, first=numbers[where], second=numbers[where + 1])]

@@ -19,7 +19,7 @@ import numpy as np
 
 from vntoolkit.arrays import BoolArray, Float32Array, FloatArray, Mask
 from vntoolkit.diagnosis import evidence as evidences
-from vntoolkit.diagnosis.finding import CLEAR_Z, Finding, Level, certainty_from_z
+from vntoolkit.diagnosis.finding import CLEAR_Z, Finding, Level
 from vntoolkit.diagnosis.surface_pixels import (
     SurfacePixels,
     regress_lengths,
@@ -44,7 +44,6 @@ _LEAST_EFFECT = 0.004  # spread of the foretold logarithms: below it M and the c
 # Slope as read minus slope under the other reading: −1 where the curve is right, +1 where the other one is.
 # Photographs of statues and faces with the right curve reach 0.1, with the wrong one 1.7 and more.
 _NOTED = 0.5
-_CLEAR = 0.8  # below minus this, the footage is believed against the rig
 _CLEARLY_LESS = 0.65  # two free numbers always mend more than none, so a curve that mends this much may tie
 # Photographs of plaster read rightly have 0.94 and more, and 0.6; the same in sRGB 0.9 and less, and 1.4.
 _LESS = 0.92
@@ -81,7 +80,6 @@ def check_transfer(evidence: evidences.Evidence) -> list[Finding]:
         Finding.of(
             "transfer",
             level=Level.FATAL if written.z > 2 * CLEAR_Z else Level.WARNING,
-            certainty=certainty_from_z(written.z),
             curve=written.curve,
             stated=evidence.transfer.to_text(),
             slope=written.as_read,
@@ -95,29 +93,11 @@ def check_calibrated_transfer(evidence: evidences.Evidence) -> list[Finding]:
     calibrated, given = evidence.rig.transfer, evidence.transfer
     if (calibrated.curve, calibrated.gamma) == (given.curve, given.gamma):
         return []
-    back = _comparison(evidence, calibrated)
     quality = evidence.rig.quality
-    no_curve = quality is not None and quality.samples == 0  # of lamps that were measured
-    if no_curve and back is not None and back.score < -_CLEAR and -back.score > CLEAR_Z * back.error:
-        level, says = Level.NOTE, f"agrees with {given.to_text()}"
-    elif back is not None and back.score > _NOTED and back.score > CLEAR_Z * back.error:
-        level, says = Level.FATAL, f"agrees with {calibrated.to_text()}"
-    else:
-        level, says = Level.WARNING, "does not tell which is right"
-    measured = (
-        "no surface to measure on"
-        if back is None
-        else f"a slope of {back.as_read:.2f} ± {back.read_error:.2f}"
-    )
+    if quality is not None and quality.samples == 0:  # of lamps that were measured, under no curve
+        return []
     return [
-        Finding.of(
-            "transfer/calibrated",
-            level=level,
-            given=given.to_text(),
-            calibrated=calibrated.to_text(),
-            says=says,
-            measured=measured,
-        )
+        Finding.of("transfer/calibrated", given=given.to_text(), calibrated=calibrated.to_text()),
     ]
 
 
@@ -269,7 +249,6 @@ def check_transfer_of_samples(normals: FloatArray, rgb: FloatArray, transfer: Tr
     return [
         Finding.of(
             "transfer/samples",
-            certainty=certainty_from_z(z),
             curve=other.to_text(),
             stated=transfer.to_text(),
             residual_deg=np.median(as_read),

@@ -14,7 +14,7 @@ import numpy as np
 
 from vntoolkit.arrays import Array, FloatArray, Int64Array
 from vntoolkit.diagnosis.evidence import FEWEST_PIXELS, LARGEST_CHANGE, Evidence, lengths_of
-from vntoolkit.diagnosis.finding import CLEAR_Z, Finding, certainty_from_z
+from vntoolkit.diagnosis.finding import CLEAR_Z, Finding
 from vntoolkit.diagnosis.lamp_nearness import changes_with_nearness
 from vntoolkit.diagnosis.surface_match import agreement_of
 from vntoolkit.diagnosis.surface_pixels import (
@@ -44,9 +44,8 @@ def check_white_balance(evidence: Evidence) -> list[Finding]:
     if found is None or not found.is_clear:
         return []
     red, blue = 100 * np.expm1(found.logs)
-    sure = certainty_from_z(found.z)
     turn_deg, left = found.turn_deg, found.left
-    return [Finding.of("white-balance", certainty=sure, turn_deg=turn_deg, red=red, blue=blue, left=left)]
+    return [Finding.of("white-balance", turn_deg=turn_deg, red=red, blue=blue, left=left)]
 
 
 def check_changing_gains(evidence: Evidence) -> list[Finding]:
@@ -68,8 +67,7 @@ def check_changing_gains(evidence: Evidence) -> list[Finding]:
         f"{100 * math.expm1(log):+.1f} ± {100 * error:.1f} %"
         for log, error in zip(logs[worst], errors[worst], strict=True)
     )
-    sure = certainty_from_z(float((np.abs(logs) / errors)[worst].max()))
-    return [Finding.of("drift/subject", certainty=sure, first=first, last=last, red=red, blue=blue)]
+    return [Finding.of("drift/subject", first=first, last=last, red=red, blue=blue)]
 
 
 def _changes(

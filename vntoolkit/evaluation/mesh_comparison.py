@@ -14,7 +14,7 @@ from vntoolkit.geometry.mesh import Mesh, vertex_normals
 from vntoolkit.geometry.point_cloud import PointCloud
 from vntoolkit.geometry.rays import RayScene
 from vntoolkit.geometry.rigid import RigidTransform, Similarity
-from vntoolkit.native import import_pymeshlab
+from vntoolkit.libraries import import_pymeshlab
 from vntoolkit.options.evaluation import Alignment, AlignmentOptions, MeasuredBy
 
 _FARTHEST = 1000.0  # times the smaller mesh's size: pymeshlab searches in steps of that, beyond for minutes

@@ -116,7 +116,7 @@ def track_errors(
     require_positive(lost_px, "track error: lost_px")
     for pixels, (number, true_vertices) in zip(tracked, truth, strict=True):
         if pixels.frame != number:
-            raise BadInput(f"track error: tracked frame {pixels.frame} met true frame {number}")
+            raise BadInput(f"track error: expected the true frame {pixels.frame}, got frame {number}")
         points = anchors.points(true_vertices)
         judged = anchors.found & visible(points, true_vertices, faces, camera)
         distance = np.linalg.norm(pixels.positions_px[judged] - camera.project(points[judged]), axis=1)

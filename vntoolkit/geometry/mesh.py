@@ -23,8 +23,6 @@ from vntoolkit.arrays import (
 from vntoolkit.checks import require_finite, require_shape, sum_is_finite
 from vntoolkit.display import Displayed, Facts, Picture, picture_of_points
 from vntoolkit.errors import BadMesh
-from vntoolkit.geometry.point_cloud import rgba_from_rgb
-from vntoolkit.native import import_open3d, import_pymeshlab
 
 if TYPE_CHECKING:
     import open3d as o3d
@@ -92,6 +90,8 @@ class Mesh(Displayed):
 
     def to_open3d(self) -> o3d.geometry.TriangleMesh:
         """Return a copy as an Open3D triangle mesh (without texture coordinates)."""
+        from vntoolkit.libraries import import_open3d
+
         o3d = import_open3d()
         mesh = o3d.geometry.TriangleMesh(
             o3d.utility.Vector3dVector(np.array(self.vertices, dtype=np.float64)),
@@ -118,6 +118,9 @@ class Mesh(Displayed):
 
         pymeshlab replaces the normals of a mesh with faces by its own, so none are passed.
         """
+        from vntoolkit.geometry.point_cloud import rgba_from_rgb
+        from vntoolkit.libraries import import_pymeshlab
+
         extra: dict[str, Any] = {}
         if self.colours is not None:
             extra["v_color_matrix"] = rgba_from_rgb(self.colours)
@@ -165,6 +168,8 @@ def isosurface(values: FloatArray) -> tuple[Points, Faces]:
     Vertices (n, 3) in cells, counted from the first value; faces (m, 3) counter-clockwise from outside. The
     surface is open where it leaves the grid.
     """
+    from vntoolkit.libraries import import_open3d
+
     o3d = import_open3d()
     field = o3d.core.Tensor(np.ascontiguousarray(values.transpose(2, 1, 0), dtype=np.float32))
     surface = o3d.t.geometry.TriangleMesh.create_isosurfaces(field, [0.0]).to_legacy()

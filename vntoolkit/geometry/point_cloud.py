@@ -11,7 +11,6 @@ from vntoolkit.arrays import Colours, Points, read_only
 from vntoolkit.checks import require_finite, require_shape
 from vntoolkit.display import Displayed, Facts, Picture, picture_of_points
 from vntoolkit.errors import BadMesh
-from vntoolkit.native import import_open3d, import_pymeshlab
 
 if TYPE_CHECKING:
     import open3d as o3d
@@ -60,6 +59,8 @@ class PointCloud(Displayed):
 
     def to_open3d(self) -> o3d.geometry.PointCloud:
         """Return a copy as an Open3D point cloud."""
+        from vntoolkit.libraries import import_open3d
+
         o3d = import_open3d()
         cloud = o3d.geometry.PointCloud()
         cloud.points = o3d.utility.Vector3dVector(np.array(self.points, dtype=np.float64))
@@ -71,6 +72,8 @@ class PointCloud(Displayed):
 
     def to_pymeshlab(self) -> pymeshlab.Mesh:
         """Return a copy as a pymeshlab mesh without faces."""
+        from vntoolkit.libraries import import_pymeshlab
+
         extra: dict[str, Any] = {}
         if self.normals is not None:
             extra["v_normals_matrix"] = np.asarray(self.normals, dtype=np.float64)

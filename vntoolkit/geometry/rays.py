@@ -11,7 +11,7 @@ from vntoolkit.arrays import BoolArray, Faces, FloatArray, Int64Array, Points, V
 from vntoolkit.checks import require_finite
 from vntoolkit.errors import BadMesh
 from vntoolkit.geometry.camera import Camera
-from vntoolkit.native import import_open3d
+from vntoolkit.libraries import import_open3d
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -20,6 +20,7 @@ from numba import prange
 
 from vntoolkit.arrays import (
     BoolArray,
+    Float32Array,
     FloatArray,
     Int64Array,
     Points2,
@@ -56,15 +57,21 @@ class DepthSteps:
     steps: FloatArray
     variances: FloatArray
 
-    def added_to(self, edges: EdgeField, box: tuple[slice, slice], pixels_per_unit: float) -> EdgeField:
-        """Return the edges of a window with the steps in it, each in doubt as its slope and its step are."""
-        at = self.down.astype(np.int64), self.rows - box[0].start, self.columns - box[1].start
-        inside = (np.min(at, axis=0) >= 0) & (at[1] < edges.weight.shape[1]) & (at[2] < edges.weight.shape[2])
+    def images(self, rows: slice, columns: slice) -> tuple[Float32Array, Float32Array]:
+        """Return steps and variances of a window's edges to the right, and down: (2, h, w), 0 elsewhere."""
+        shape = (2, rows.stop - rows.start, columns.stop - columns.start)
+        at = self.down.astype(np.int64), self.rows - rows.start, self.columns - columns.start
+        inside = (np.min(at, axis=0) >= 0) & (at[1] < shape[1]) & (at[2] < shape[2])
         at = tuple(index[inside] for index in at)
-        difference, weight = edges.difference.copy(), edges.weight.copy()
-        difference[at] += (self.steps[inside] / pixels_per_unit).astype(np.float32)
-        weight[at] /= 1.0 + weight[at] * self.variances[inside] / _UNIT_VARIANCE
-        return EdgeField(difference=difference, weight=weight)
+        steps, variances = np.zeros((2, *shape), np.float32)
+        steps[at], variances[at] = self.steps[inside], self.variances[inside]
+        return steps, variances
+
+
+def with_steps(edges: EdgeField, steps: Float32Array, variances: Float32Array) -> EdgeField:
+    """Return the edges with known steps in their unit, each in doubt as its slope and its step are."""
+    weight = edges.weight / (1.0 + edges.weight * variances / np.float32(_UNIT_VARIANCE))
+    return EdgeField(difference=edges.difference + steps, weight=weight)
 
 
 def steps_from_shadows(

@@ -3,8 +3,10 @@
 Cao et al. (`cao2022`) showed that normals alone tell where depth is discontinuous if, at every pixel, the
 solution may choose which neighbour it continues to: the residuals reweigh the equations. This module keeps
 the idea. An edge is cut where its residual is larger than the errors of the normals explain (Geman and
-McClure's weight), and that scale is no constant: it is measured on the map itself, in every round anew.
+McClure's weight), and that scale is no constant.
 
+- Where the normals come with expected errors, no error is taken to be smaller than these. The weight of an
+  equation is the inverse of its variance; confidences, which come from the same errors, count no second time.
 - The circulation of the wanted differences around 2×2 pixels is 0 on a surface. Its median gives the noise
   of single normals. Each of the four edges accounts for a quarter of what is more than that.
 - The residuals of least squares hold what neighbouring normals share, too. Their median deviation is large
@@ -16,17 +18,22 @@ A surface whose residuals are all explained keeps the least-squares solution.
 """
 
 import math
+from dataclasses import dataclass
 
+import numba
 import numpy as np
 
 from vntoolkit.arrays import Float32Array, Float64Array, FloatArray, Mask
-from vntoolkit.integration.edges import EdgeField
+from vntoolkit.integration.edges import EdgeField, chords_from_slopes
 from vntoolkit.integration.poisson import MaskedSolver
+from vntoolkit.native import njit
 
 _LEAST_WEIGHT = 1e-5  # of a fully cut edge: keeps parts that only cuts connect from floating freely
 _SMALLEST = 1e-30
 _LEAST_NOISE = 1e-4  # pixels: rounding of float32 normals; a noiseless map has no other scale
+_BEND = 10.0  # standard deviations of a facing edge's difference per pixel of disagreement
 _MEDIAN_TO_DEVIATION = 1.4826
+_PER_NORMAL = math.radians(1.0) / 2.146  # standard deviation over the bound of nine of ten, of directions
 _ROUNDS = 12  # times the weights are computed anew
 _SCALE = 2.0  # standard deviations of an edge's residual at which its weight is a quarter
 # The first scale against the last, and the share of the rounds from which the last holds: nothing is cut at
@@ -37,55 +44,104 @@ _ROUND_ITERATIONS = 300  # of conjugate gradients
 # Relative residual of the first solution; what every later one leaves of the residual before it, so that a
 # part that hangs on few edges finds its place too.
 _FIRST_TOLERANCE, _ROUND_TOLERANCE = 1e-3, 0.03
+_LOOKED_AT_PX = 150_000  # at most, to tell whether there is a jump: of more, every n-th row and column
+_VOTES = 20_000  # that a median is taken over, evenly spread
 
 
-def solve_discontinuous(
-    solver: MaskedSolver, edges: EdgeField, variance: Float32Array, start: FloatArray | None
-) -> Float64Array:
-    """Return depth in pixels (h, w), of arbitrary offset per component.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SlopeErrors:
+    """What tells how far depth differences between neighbouring pixels may be off.
 
-    edges: wanted differences in pixels, and the confidence in each. variance: (2, h, w), of the differences,
-    relative to one another. start: a first guess (h, w).
+    p, q: (h, w) float32, slopes in pixels a pixel. inside: (h, w). error_deg: (h, w) float32, the bound that
+    nine of ten normals stay within, or None. steps, of_steps: (2, h, w) float32, known steps of depth and
+    their variances, or None.
     """
-    inside = edges.weight > 0
-    if not inside.any():
-        return np.zeros(inside.shape[1:])
-    variance = np.where(inside, variance_of_edges(edges.difference, variance, inside), np.float32(1.0))
-    confidences = edges.weight[inside]
-    depth = solver.solve(edges, start, weighted=bool(confidences.min() < confidences.max()))
-    residual = _differences(depth) - edges.difference
-    if _are_explained(residual[inside], variance[inside]):
-        return depth
-    trust = edges.weight / variance
+
+    p: Float32Array
+    q: Float32Array
+    inside: Mask
+    error_deg: Float32Array | None = None
+    steps: Float32Array | None = None
+    of_steps: Float32Array | None = None
+
+    def variance(self, every: int = 1) -> Float32Array:
+        """Return (2, h, w), in pixels², of the differences to the right, and down; 0 where there is none.
+
+        every: n-th row of the former and column of the latter; the rest stays 0. A turn of a normal by an
+        angle ε moves its slope by ε / cos² of its inclination: grazing ends make an edge unsure. So does a
+        bend, as far as the two ends disagree on the slope (`_BEND`). An edge is as bad as the better of its
+        two squares of 2×2 pixels: where depth jumps by an amount that changes along the way, the circulation
+        is large on both sides of every edge that crosses the jump.
+        """
+        turns = np.full((-(-len(self.p) // every), self.p.shape[1]), np.float32(-1))
+        _normalised_turns(self.p, self.q, self.inside, every, turns)
+        known = turns[turns >= 0]
+        noise = max(_deviation(known) if known.size else 0.0, _LEAST_NOISE)
+        out = np.zeros((2, *self.p.shape), np.float32)
+        error = np.zeros((0, 0), np.float32) if self.error_deg is None else self.error_deg
+        _variances(self.p, self.q, self.inside, error, np.float32(noise**2), every, out)
+        if self.of_steps is not None:
+            out += np.where(out > 0, self.of_steps, np.float32(0))
+        return out
+
+    def explain(self, depth: FloatArray) -> bool:
+        """Whether the residuals of least squares, depth (h, w) in pixels, are no larger than the errors."""
+        every = 1 + int(np.count_nonzero(self.inside)) // _LOOKED_AT_PX
+        variance, normalised = self.variance(every), []
+        for axis, slopes in enumerate((self.p, self.q)):
+            lines = np.s_[:, ::every] if axis else np.s_[::every]
+            residual = np.diff(depth[lines], axis=1 - axis)
+            ends = np.s_[:-1] if axis else np.s_[:, :-1]
+            first, last = slopes[lines][ends], slopes[lines][1:] if axis else slopes[lines][:, 1:]
+            residual -= 0.5 * (first + last)
+            if self.steps is not None:
+                residual -= self.steps[axis][lines][ends]
+            spread = variance[axis][lines][ends]
+            at = spread > 0
+            normalised.append(np.abs(residual[at]) / np.sqrt(spread[at]))
+        return _are_explained(np.concatenate(normalised))
+
+
+def solve_discontinuous(solver: MaskedSolver, errors: SlopeErrors, depth: FloatArray) -> FloatArray:
+    """Return depth in pixels (h, w), of arbitrary offset per component; depth: that of least squares."""
+    difference, variance = chords_from_slopes(errors.p, errors.q), errors.variance()
+    if errors.steps is not None:
+        difference += errors.steps
+    inside = variance > 0
+    trust = np.divide(1.0, variance, out=np.zeros_like(variance), where=inside)
     trust /= trust.max(initial=_SMALLEST)
+    variance[~inside], difference[~inside] = 1.0, 0.0
+    residual = _differences(depth) - difference
     weight, tolerance = trust, _FIRST_TOLERANCE
     for progress in np.linspace(0.0, 1.0, _ROUNDS + 1):
         field = EdgeField(difference=-residual.astype(np.float32), weight=weight)
         depth = depth + solver.solve(
             field, weighted=True, tolerance=tolerance, most_iterations=_ROUND_ITERATIONS
         )
-        residual = _differences(depth) - edges.difference
-        if tolerance == _FIRST_TOLERANCE and _are_explained(residual[inside], variance[inside]):
+        residual = _differences(depth) - difference
+        normalised = np.abs(residual[inside]) / np.sqrt(variance[inside])
+        if tolerance == _FIRST_TOLERANCE and _are_explained(normalised):
             break  # only grazing normals, which now count less, were off
-        deviation = _deviation(np.abs(residual[inside]) / np.sqrt(variance[inside]))
-        scale = max(_SCALE * deviation, 1.0) * _WIDENING ** max(0.0, 1.0 - progress / _NARROW_FROM)
-        share = kept_share(residual, edges.difference, scale**2 * variance)
+        widening = _WIDENING ** max(0.0, 1.0 - progress / _NARROW_FROM)
+        scale = max(_SCALE * _deviation(normalised), 1.0) * widening
+        share = kept_share(residual, difference, scale**2 * variance)
         weight, tolerance = trust * np.maximum(share, _LEAST_WEIGHT), _ROUND_TOLERANCE
     return depth
 
 
-def _are_explained(residual: FloatArray, variance: FloatArray) -> bool:
+def _are_explained(normalised: FloatArray) -> bool:
     """Whether the largest residual (m,) is no larger than the largest of so many normal deviates may be."""
-    normalised = np.abs(residual) / np.sqrt(variance)
+    if not normalised.size:
+        return True
     largest = math.sqrt(2.0 * math.log(normalised.size)) + 1.0
     return bool(normalised.max() <= largest * max(_deviation(normalised), 1.0))
 
 
 def _deviation(normalised: FloatArray) -> float:
-    return _MEDIAN_TO_DEVIATION * float(np.median(normalised))
+    return _MEDIAN_TO_DEVIATION * float(np.median(normalised[:: 1 + len(normalised) // _VOTES]))
 
 
-def kept_share(residual: Float64Array, wanted: Float32Array, tolerated: Float32Array) -> Float32Array:
+def kept_share(residual: Float64Array, wanted: Float64Array, tolerated: Float32Array) -> Float32Array:
     """Return by how much each edge (2, h, w) still holds two pixels together, from 0 to 1.
 
     tolerated: squared residual, in pixels², at which an edge along the slope keeps a quarter.
@@ -94,30 +150,68 @@ def kept_share(residual: Float64Array, wanted: Float32Array, tolerated: Float32A
     return np.square(1.0 / (1.0 + residual**2 / (tolerated * against))).astype(np.float32)
 
 
-def variance_of_edges(difference: Float32Array, variance: Float32Array, inside: Mask) -> Float32Array:
-    """Return the variance of each difference in pixels², from what noise explains and what it does not.
-
-    An edge is as bad as the better of its two squares of 2×2 pixels: where depth jumps by an amount that
-    changes along the way, the circulation is large on both sides of every edge that crosses the jump.
-    """
-    right, down = np.where(inside, difference, np.nan)
-    turn = right[:-1, :-1] + down[:-1, 1:] - right[1:, :-1] - down[:-1, :-1]
-    spread = variance[0, :-1, :-1] + variance[1, :-1, 1:] + variance[0, 1:, :-1] + variance[1, :-1, :-1]
-    known = np.isfinite(turn)
-    noise = _LEAST_NOISE
-    if known.any():
-        normalised = np.abs(turn[known]) / np.sqrt(spread[known])
-        noise = max(noise, _MEDIAN_TO_DEVIATION * float(np.median(normalised)))
-    square = np.pad(np.where(known, (0.25 * turn) ** 2, np.inf), 1, constant_values=np.inf)
-    better = np.zeros_like(variance)
-    better[0] = np.minimum(square[:-1, 1:], square[1:, 1:])
-    better[1] = np.minimum(square[1:, :-1], square[1:, 1:])
-    return noise**2 * variance + np.where(np.isfinite(better), better, 0)
-
-
 def _differences(depth: FloatArray) -> Float64Array:
     """Return (2, h, w), to the pixel on the right and below; 0 beyond the last."""
     out = np.zeros((2, *depth.shape))
     np.subtract(depth[:, 1:], depth[:, :-1], out=out[0, :, :-1])
     np.subtract(depth[1:], depth[:-1], out=out[1, :-1])
     return out
+
+
+@njit(cache=True, inline="always")
+def _spread(p, q, v, u, y, x, bend):  # type: ignore[no-untyped-def]
+    """Variance of the difference between two pixels, relative to that of normals that face the camera."""
+    one = np.float32(1.0) + p[v, u] * p[v, u] + q[v, u] * q[v, u]
+    two = np.float32(1.0) + p[y, x] * p[y, x] + q[y, x] * q[y, x]
+    return np.float32(0.5) * (one * one + two * two) + np.float32(_BEND * _BEND) * bend * bend
+
+
+@njit(cache=True, inline="always")
+def _turn(p, q, inside, v, u):  # type: ignore[no-untyped-def]
+    """Return the size of the circulation around 2×2 pixels from a pixel on; infinite beyond the border."""
+    height, width = inside.shape
+    if v < 0 or u < 0 or v + 1 >= height or u + 1 >= width:
+        return np.float32(np.inf)
+    if not (inside[v, u] and inside[v, u + 1] and inside[v + 1, u] and inside[v + 1, u + 1]):
+        return np.float32(np.inf)
+    along = p[v, u] + p[v, u + 1] - p[v + 1, u] - p[v + 1, u + 1]
+    return np.float32(0.5) * abs(along + q[v, u + 1] + q[v + 1, u + 1] - q[v, u] - q[v + 1, u])
+
+
+@njit(cache=True, parallel=True)
+def _normalised_turns(p, q, inside, every, out):  # type: ignore[no-untyped-def]
+    """Fill (⌈h / every⌉, w): circulations over their deviations at noise 1, where they are known."""
+    for row in numba.prange(out.shape[0]):
+        v = row * every
+        for u in range(out.shape[1]):
+            turn = _turn(p, q, inside, v, u)
+            if turn < np.inf:
+                spread = _spread(p, q, v, u, v, u + 1, p[v, u + 1] - p[v, u])
+                spread += _spread(p, q, v + 1, u, v + 1, u + 1, p[v + 1, u + 1] - p[v + 1, u])
+                spread += _spread(p, q, v, u, v + 1, u, q[v + 1, u] - q[v, u])
+                spread += _spread(p, q, v, u + 1, v + 1, u + 1, q[v + 1, u + 1] - q[v, u + 1])
+                out[row, u] = turn / np.sqrt(spread)
+
+
+@njit(cache=True, parallel=True)
+def _variances(p, q, inside, error_deg, noise, every, out):  # type: ignore[no-untyped-def]
+    height, width = inside.shape
+    for v in numba.prange(height):
+        for k in range(2):
+            if k == 0 and v % every:
+                continue
+            y = v + k
+            for u in range(0, width, every if k else 1):
+                x = u + 1 - k
+                if y >= height or x >= width or not (inside[v, u] and inside[y, x]):
+                    continue
+                bend = p[y, x] - p[v, u] if k == 0 else q[y, x] - q[v, u]
+                spread = _spread(p, q, v, u, y, x, bend)
+                better = min(_turn(p, q, inside, v, u), _turn(p, q, inside, v - 1 + k, u - k))
+                found = noise * spread
+                if better < np.inf:
+                    found += np.float32(0.0625) * better * better
+                if error_deg.size:
+                    stated = error_deg[v, u] * error_deg[v, u] + error_deg[y, x] * error_deg[y, x]
+                    found = max(found, np.float32(0.5 * _PER_NORMAL**2) * stated * spread)
+                out[k, v, u] = found

@@ -15,12 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
-from vntoolkit.arrays import Array, Float32Array, Float64Array, FloatArray, Int32Array, Mask, Normals
+from vntoolkit.arrays import Array, Float32Array, Float64Array, FloatArray, Int32Array, Mask
 from vntoolkit.native import njit
 
 _C = np.float32(1.0 / 24.0)
-_BEND = 10.0  # standard deviations of a facing edge's difference per pixel of disagreement
-_STEEPEST_HALF = 0.9  # half of the difference of log depth, by the chord: 1 would be infinitely steep
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -111,75 +109,20 @@ def _edges_along_columns(q, weights, difference, weight):  # type: ignore[no-unt
                 difference[v, u] = _difference(first, q[v, u], q[v + 1, u], last, before, after)
 
 
-def weight_of_edges(domain: Mask, weight: Float32Array | None = None) -> Float32Array:
-    """Return (2, h, w), the confidence of each edge's worse end; 0 where an end is outside the domain."""
-    ends = domain.astype(np.float32) if weight is None else np.where(domain, weight, np.float32(0))
-    out = np.zeros((2, *domain.shape), np.float32)
-    np.minimum(ends[:, 1:], ends[:, :-1], out=out[0, :, :-1])
-    np.minimum(ends[1:], ends[:-1], out=out[1, :-1])
-    return out
+def chords_from_slopes(p: Float32Array, q: Float32Array) -> Float64Array:
+    """Return wanted differences (2, h, w) from the normals at the two ends of each edge alone.
 
-
-# Differences by chords: from the normals at the two ends of an edge.
-
-
-def chords_from_normals(
-    normals: Normals,
-    points: FloatArray,
-    domain: Mask,
-    *,
-    perspective: bool,
-    pixels_per_unit: float,
-    steepest_slope_deg: float,
-) -> tuple[Float32Array, Float32Array]:
-    """Return wanted differences in pixels, and their variances, (2, h, w), 0 where an end is outside.
-
-    normals: (h, w, 3). points: (h, w, 2), in the image plane at depth 1. A difference of log depth is times
-    the focal length. A variance is relative to that of an edge between two normals that face the camera. A
-    turn of a normal by an angle ε moves its slope by ε / cos² of its inclination: grazing ends make an edge
-    unsure. So does a bend, as far as the two ends disagree on the slope (`_BEND`).
+    p, q: (h, w), in pixels a pixel. The chord is at right angles to the mean of the two unit normals: slopes
+    count as their normals face the viewer.
     """
-    difference, variance = np.zeros((2, 2, *domain.shape), np.float32)
-    least_facing = float(np.cos(np.deg2rad(steepest_slope_deg)))
-    scale = (1.0 if perspective else 0.0, pixels_per_unit, least_facing)
-    _chords(np.asarray(normals, np.float64), points, domain, scale, difference, variance)
-    return difference, variance
-
-
-@njit(cache=True)
-def _along(nx, ny, nz, x1, y1, x2, y2, perspective, scale, least_facing):  # type: ignore[no-untyped-def]
-    """Difference in pixels between two points of one plane, and how much the plane faces the rays."""
-    rise = nx * (x2 - x1) + ny * (y2 - y1)
-    facing = -(perspective * 0.5 * (nx * (x1 + x2) + ny * (y1 + y2)) + nz)
-    facing = max(facing, least_facing)
-    slope = rise / facing
-    if perspective > 0.0:
-        half = min(max(0.5 * slope, -_STEEPEST_HALF), _STEEPEST_HALF)
-        slope = 2.0 * np.arctanh(half)
-    return slope * scale, facing
-
-
-@njit(cache=True)
-def _chords(n, xy, domain, scale, difference, variance):  # type: ignore[no-untyped-def]
-    height, width = domain.shape
-    for v in range(height):
-        for u in range(width):
-            for k in range(2):
-                y, x = v + k, u + 1 - k
-                if y < height and x < width and domain[v, u] and domain[y, x]:
-                    ends = (xy[v, u, 0], xy[v, u, 1], xy[y, x, 0], xy[y, x, 1], *scale)
-                    difference[k, v, u], variance[k, v, u] = _chord(n[v, u], n[y, x], ends)
-
-
-@njit(cache=True)
-def _chord(first, second, ends):  # type: ignore[no-untyped-def]
-    mean = first + second
-    mean /= max(np.sqrt(mean[0] ** 2 + mean[1] ** 2 + mean[2] ** 2), 1e-6)
-    difference, _ = _along(mean[0], mean[1], mean[2], *ends)
-    one, facing1 = _along(first[0], first[1], first[2], *ends)
-    two, facing2 = _along(second[0], second[1], second[2], *ends)
-    bend = _BEND * (one - two)
-    return difference, 0.5 * (facing1**-4.0 + facing2**-4.0) + bend * bend
+    facing = 1.0 / np.sqrt(1.0 + p.astype(np.float64) ** 2 + q.astype(np.float64) ** 2)
+    out = np.zeros((2, *p.shape))
+    for rise, to, first, last in (
+        (p * facing, out[0, :, :-1], np.s_[:, :-1], np.s_[:, 1:]),
+        (q * facing, out[1, :-1], np.s_[:-1], np.s_[1:]),
+    ):
+        to[:] = (rise[first] + rise[last]) / (facing[first] + facing[last])
+    return out
 
 
 class Components:

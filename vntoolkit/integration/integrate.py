@@ -12,14 +12,12 @@ from vntoolkit.arrays import Array, Float32Array, Float64Array, Mask, Normals, W
 from vntoolkit.checks import checks_kinds, require_finite, require_same_size, require_some, sum_is_finite
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
-from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
-from vntoolkit.integration.cast_shadows import DepthSteps
+from vntoolkit.geometry.maps import HALF_WEIGHT_DEG, DepthMap, LengthUnit, NormalMap
+from vntoolkit.integration.cast_shadows import DepthSteps, with_steps
+from vntoolkit.integration.discontinuity import SlopeErrors, solve_discontinuous
 from vntoolkit.integration.edges import (
     Components,
-    EdgeField,
-    chords_from_normals,
     edges_from_slopes,
-    weight_of_edges,
 )
 from vntoolkit.integration.poisson import CosineSolver, FourierSolver, MaskedSolver, RectangleSolver
 from vntoolkit.integration.slopes import RayField, rays_from_camera, slopes_from_normals
@@ -53,7 +51,7 @@ class DepthIntegrator:
         self._camera = camera
         self._options = options or IntegrationOptions()
         self._rays = rays_from_camera(camera)
-        self._rectangle: dict[Integrator, RectangleSolver] = {}
+        self._rectangle: RectangleSolver | None = None
         self._domain: DomainSolver | None = None
         self.parts: Components | None = None  # of the map integrated last, where they had to be found
 
@@ -73,28 +71,30 @@ class DepthIntegrator:
             have = f"{normal_map.shape[1]}×{normal_map.shape[0]}"
             raise BadInput(f"normals are {have} but the camera is {wanted[1]}×{wanted[0]}")
         domain = self._domain_of(normal_map)
-        choice = self._choice(domain, steps)
-        if choice in _RECTANGLE:
+        choice, full = self._options.integrator, bool(domain.all())
+        self._require_domain(domain)
+        if choice in _RECTANGLE or (choice is Integrator.DISCONTINUITY and full and steps is None):
             self.parts = None
             p, q = slopes_from_normals(
                 normal_map.normals_in_camera, self._rays, self._options.steepest_slope_deg
             )
-            return self._finish(self._solve_rectangle(p, q, choice), domain)
-        return self._integrate_domain(normal_map, domain, choice, steps)
+            solution = self._solve_rectangle(p, q)
+            if choice in _RECTANGLE or slope_errors(normal_map, p, q, self._rays).explain(
+                solution * self._rays.pixels_per_unit
+            ):
+                return self._finish(solution, domain)
+        return self._integrate_domain(normal_map, domain, steps)
 
-    def _integrate_domain(
-        self, normal_map: NormalMap, domain: Mask, choice: Integrator, steps: DepthSteps | None
-    ) -> DepthMap:
-        normals, weight = normal_map.normals_in_camera, normal_map.weight
+    def _integrate_domain(self, normal_map: NormalMap, domain: Mask, steps: DepthSteps | None) -> DepthMap:
+        normals = normal_map.normals_in_camera
         if not sum_is_finite(normals):  # a pixel outside the domain may be anything
             require_finite(normals[domain], "normals to integrate")
-        if weight is not None:
-            weight = np.maximum(weight, _LEAST_TRUST)
         if self._domain is None or not np.array_equal(domain, self._domain.domain):
             self._domain = DomainSolver(domain, self._rays, self._options)
         self.parts = self._domain.components
-        solve = self._domain.poisson if choice is Integrator.POISSON else self._domain.discontinuity
-        return self._finish(solve(normals, weight, steps), domain, self._domain.components)
+        poisson = self._options.integrator is Integrator.POISSON
+        solve = self._domain.poisson if poisson else self._domain.discontinuity
+        return self._finish(solve(normal_map, steps), domain, self._domain.components)
 
     def _domain_of(self, normal_map: NormalMap) -> Mask:
         domain = normal_map.mask
@@ -114,27 +114,25 @@ class DepthIntegrator:
         """Return where a surface would be seen from behind, or not at all: n_z >= 0, and n·ray >= 0 too."""
         behind: Mask = normals[..., 2] >= 0
         if behind.any() and self._camera.is_perspective:
-            points = self._rays.image_plane_points(*behind.shape)[behind]
-            behind[behind] = normals[behind][:, 2] + (normals[behind][:, :2] * points).sum(axis=1) >= 0
+            rays = self._camera.unproject(
+                np.argwhere(behind)[:, ::-1].astype(np.float64), np.ones(np.count_nonzero(behind))
+            )
+            behind[behind] = (normals[behind] * rays).sum(axis=1) >= 0
         return behind
 
-    def _choice(self, domain: Mask, steps: DepthSteps | None) -> Integrator:
-        full = bool(domain.all())
-        if self._options.integrator is None:
-            return Integrator.COSINE if full and steps is None else Integrator.POISSON
-        if self._options.integrator in _RECTANGLE and not full:
+    def _require_domain(self, domain: Mask) -> None:
+        if self._options.integrator in _RECTANGLE and not domain.all():
             raise BadInput(
                 f"the {self._options.integrator.value} integrator needs every pixel of the rectangle, "
                 f"{np.count_nonzero(~domain)} are masked or doubtful: use poisson or discontinuity"
             )
-        return self._options.integrator
 
-    def _solve_rectangle(self, p: Float32Array, q: Float32Array, choice: Integrator) -> Array:
-        if choice not in self._rectangle:
-            solver = CosineSolver if choice is Integrator.COSINE else FourierSolver
+    def _solve_rectangle(self, p: Float32Array, q: Float32Array) -> Array:
+        if self._rectangle is None:
+            fourier = self._options.integrator is Integrator.FOURIER
             dtype = np.float32 if self._options.precision is Precision.SINGLE else np.float64
-            self._rectangle[choice] = solver(p.shape[0], p.shape[1], dtype)
-        solution = self._rectangle[choice].solve(divergence_from_slopes(p, q))
+            self._rectangle = (FourierSolver if fourier else CosineSolver)(p.shape[0], p.shape[1], dtype)
+        solution = self._rectangle.solve(divergence_from_slopes(p, q))
         if not np.isfinite(solution[0, 0]):  # every pixel of a transform holds a little of every other
             raise BadInput("normals to integrate: some are NaN or infinite; leave them out of the mask")
         return solution
@@ -176,51 +174,73 @@ class DomainSolver:
     def _near(self) -> RayField:
         return self._rays.cropped(*self.components.box)
 
-    def poisson(
-        self, normals: Normals, weight: Weight | None, steps: DepthSteps | None = None
-    ) -> Float64Array:
+    def poisson(self, normal_map: NormalMap, steps: DepthSteps | None = None) -> Float64Array:
         """Least squares over all edges of the domain.
 
         Conjugate gradients: the cosine transform is the preconditioner without weights, multigrid with them.
         """
-        box = self.components.box
-        p, q = slopes_from_normals(normals[box], self._near, self._options.steepest_slope_deg)
-        edges = edges_from_slopes(p, q, self.domain[box], None if weight is None else weight[box])
-        if steps is not None:
-            edges = steps.added_to(edges, box, self._rays.pixels_per_unit)
-        start = None if self._last is None else self._last[box]
-        weighted = weight is not None or steps is not None
-        solution = self._masked.solve(edges, start, weighted=weighted)
-        self.iterations = self._masked.iterations
-        return self._keep(solution)
+        p, q = self._slopes(normal_map)
+        return self.components.remove_means(self._least_squares(p, q, self._weight(normal_map), steps))
 
-    def discontinuity(
-        self, normals: Normals, weight: Weight | None, steps: DepthSteps | None = None
-    ) -> Float64Array:
-        """Robust least squares that cuts edges across depth discontinuities."""
-        from vntoolkit.integration.discontinuity import solve_discontinuous
-
+    def discontinuity(self, normal_map: NormalMap, steps: DepthSteps | None = None) -> Float64Array:
+        """Least squares; where the errors of the normals do not explain its residuals, with edges cut."""
         box, scale = self.components.box, self._rays.pixels_per_unit
-        inside = self.domain[box]
-        difference, variance = chords_from_normals(
-            normals[box],
-            self._near.image_plane_points(*inside.shape),
-            inside,
-            perspective=self._rays.depth_scales_ray > 0.0,
-            pixels_per_unit=scale,
-            steepest_slope_deg=self._options.steepest_slope_deg,
-        )
-        edges = EdgeField(
-            difference=difference, weight=weight_of_edges(inside, None if weight is None else weight[box])
-        )
-        if steps is not None:
-            edges = steps.added_to(edges, box, 1.0)
-        start = None if self._last is None else self._last[box] * scale
-        return self._keep(solve_discontinuous(self._masked, edges, variance, start) / scale)
+        p, q = self._slopes(normal_map)
+        smooth = self._least_squares(p, q, self._weight(normal_map), steps)
+        errors = slope_errors(normal_map, p, q, self._rays, self.domain, box, steps)
+        if errors.explain(smooth * scale):
+            return self.components.remove_means(smooth)
+        solution = solve_discontinuous(self._masked, errors, smooth * scale)
+        return self.components.remove_means(solution / scale)
 
-    def _keep(self, solution: Float64Array) -> Float64Array:
-        self._last = self.components.remove_means(solution)
+    def _slopes(self, normal_map: NormalMap) -> tuple[Float32Array, Float32Array]:
+        normals = normal_map.normals_in_camera[self.components.box]
+        return slopes_from_normals(normals, self._near, self._options.steepest_slope_deg)
+
+    def _weight(self, normal_map: NormalMap) -> Weight | None:
+        weight = normal_map.weight
+        return None if weight is None else np.maximum(weight[self.components.box], _LEAST_TRUST)
+
+    def _least_squares(
+        self, p: Float32Array, q: Float32Array, weight: Weight | None, steps: DepthSteps | None
+    ) -> Float64Array:
+        """Return the solution in the box; the next one starts from it."""
+        box = self.components.box
+        edges = edges_from_slopes(p, q, self.domain[box], weight)
+        if steps is not None:
+            known, variances = steps.images(*box)
+            edges = with_steps(edges, known / np.float32(self._rays.pixels_per_unit), variances)
+        weighted = weight is not None or steps is not None
+        self._last = self._masked.solve(edges, self._last, weighted=weighted)
+        self.iterations = self._masked.iterations
         return self._last
+
+
+def slope_errors(
+    normal_map: NormalMap,
+    p: Float32Array,
+    q: Float32Array,
+    rays: RayField,
+    domain: Mask | None = None,
+    box: tuple[slice, slice] = np.s_[:, :],
+    steps: DepthSteps | None = None,
+) -> SlopeErrors:
+    """Return what tells of jumps in a window: slopes p, q (h, w), and the errors that the map states.
+
+    A confidence without an error states one, too (`HALF_WEIGHT_DEG`).
+    """
+    error, scale = normal_map.error_deg, np.float32(rays.pixels_per_unit)
+    if error is None and normal_map.weight is not None:
+        error = HALF_WEIGHT_DEG * np.sqrt(1.0 / np.maximum(normal_map.weight, _LEAST_TRUST) - 1.0)
+    known, variances = (None, None) if steps is None else steps.images(*box)
+    return SlopeErrors(
+        p=p * scale,
+        q=q * scale,
+        inside=np.ascontiguousarray((normal_map.mask if domain is None else domain)[box]),
+        error_deg=None if error is None else np.ascontiguousarray(error[box], dtype=np.float32),
+        steps=known,
+        of_steps=variances,
+    )
 
 
 def divergence_from_slopes(p: Float32Array, q: Float32Array) -> Float32Array:

@@ -217,7 +217,7 @@ class MaskedSolver:
         raise SolverFailed(
             f"masked Poisson did not converge in {self._most_iterations} iterations (relative "
             f"residual {np.sqrt(energy * largest**2 / scale):.1e}, wanted {tolerance:.1e}): "
-            "raise most_iterations or tolerance"
+            "raise --most-iterations or --tolerance"
         )
 
     def _precondition(self, residual: Float32Array) -> Float32Array:

@@ -41,14 +41,6 @@ class RayField:
         table = None if self.table is None else np.ascontiguousarray(self.table[rows, columns])
         return replace(self, affine=affine, table=table)
 
-    def image_plane_points(self, height: int, width: int) -> FloatArray:
-        """Return (x, y) of every pixel, (h, w, 2) float64, at unit depth."""
-        if self.table is not None:
-            return self.table[..., :2].astype(np.float64)
-        u, v = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
-        x_u, x_v, x_0, y_u, y_v, y_0 = (float(a) for a in self.affine)
-        return np.stack([x_u * u + x_v * v + x_0, y_u * u + y_v * v + y_0], axis=-1)
-
 
 def rays_from_camera(camera: Camera) -> RayField:
     """Prepare the rays of a camera; once per camera, not per frame."""

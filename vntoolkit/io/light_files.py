@@ -17,9 +17,9 @@ from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.io.atomic import atomic_path, write_text
 from vntoolkit.io.conventions import graphics_from_camera
 from vntoolkit.io.files import read_text, require_inside
-from vntoolkit.io.footage.images import write_png
-from vntoolkit.io.maps_and_meshes.label_images import write_mask
+from vntoolkit.io.footage.image_writing import write_png
 from vntoolkit.io.maps_and_meshes.maps import write_normal_map
+from vntoolkit.io.maps_and_meshes.masks import write_mask
 from vntoolkit.options.export import NormalConvention
 
 _EXPECTED = "x y z, and perhaps red green blue, per light"

@@ -2,7 +2,7 @@
 
 from vntoolkit.errors import BadMesh
 from vntoolkit.geometry.mesh import Mesh
-from vntoolkit.native import import_pymeshlab
+from vntoolkit.libraries import import_pymeshlab
 from vntoolkit.options.export import CleanOptions
 
 

@@ -1,15 +1,13 @@
 """How far off is each normal? The angle that nine of ten normals stay within, from the footage itself.
 
-Independent errors add up in squares. `frame_evidence` measures four of them: noise, relief that blur took, an
-error of M, near lamps. Beside them
+Independent errors add up in squares. `frame_evidence` measures three of them on the frame itself: noise,
+relief that blur took, an error of M. Beside them
 
-- normals that were solved together with a surface have less noise than the colours' own. The noise left out
-  and the noise kept are uncorrelated: the mean squared distance between the two normals is the former;
 - the rotation in M⁻¹ΔM leaves no trace; its size is taken to be E's, the symmetric part's;
 - the rig's own residual is what its calibration could not explain. That of a ball's pixels holds the noise of
   the calibration, too, which would count twice: as much as this footage has is taken away;
-- what departs from the ellipsoid, at a pixel or in its cell on average, the larger of the two, is relief
-  finer than pixels, another paint, gloss, saturation, or light from elsewhere;
+- what departs from the ellipsoid by more than three standard deviations of the frame's own lengths is another
+  paint, gloss, or a light that is missing;
 - where a light is missing the normal rests on its surroundings. Two lights leave two normals, mirror images
   across the plane of the two. The distance from the found normal to the nearer of them counts. So does the
   distance to the other one, which may be the right one, unless found and nearer one both face away from the
@@ -36,10 +34,10 @@ from vntoolkit.normals.frame_evidence import (
     SHORTEST,
     Coefficients,
     FrameLight,
+    brightness_at,
     coefficients_from_rig,
     evidence_of_frame,
     evidence_row,
-    slow_changes_at,
 )
 from vntoolkit.normals.inversion import (
     coefficients_from_response,
@@ -58,26 +56,20 @@ from vntoolkit.photometry.transfer import Transfer
 # Nine of ten angles of a two-dimensional normal distribution lie within √(2 ln 10) standard deviations.
 NINE_OF_TEN = 2.146
 OF_ANGLE = NINE_OF_TEN / math.sqrt(2.0)  # … and within 1.5 times the root of their mean square
-# Where all nine entries of M⁻¹ΔM have variance 1, the rotation in it has 1/2 about every axis.
-_OF_ROTATION = NINE_OF_TEN / math.sqrt(2.0)
+# … and, where five numbers tell that mean square, as the entries of E, within √F₀.₉(2, 5) times the root.
+_OF_ELLIPSOID = 1.944
 # The bounds of nine of ten pixels over each measured error, fitted on simulated scenes.
-_OF_ELLIPSOID = 2.5
 _OF_RESIDUAL = 1.1  # of a median
-_OF_LENGTH = 2.75  # radians over log length
-_OF_LENGTHS = _OF_LENGTH / 2.0  # the same, over the root of the mean square in a cell
+_OF_LENGTH = 2.75  # radians over a log length that departs from the ellipsoid
 _OF_TWO_LIGHTS = 1.2  # radians over the distances to the normals that two lights leave
 _ALBEDO_SPREAD = np.float32(0.03)  # relative standard deviation of lit pixels' albedo about the surroundings'
 # A sphere shows nine tenths of its image within this angle of the axis: what a guess without data is worth.
 _LARGEST_DEG = np.float32(71.6)
-_LEFT_OUT_PX = 16  # in a row, over which the noise that a surface leaves out is averaged, …
-_KEPT = np.float32(1 / 8)  # … which is not all of it
 
 # The same, as the loops need it: squared, in degrees.
 _PER_NOISE = np.float32(np.degrees(NINE_OF_TEN) ** 2)
 _PER_TURN = np.float32(np.degrees(_OF_ELLIPSOID) ** 2)
-_PER_NEARNESS = np.float32(np.degrees(OF_ANGLE) ** 2)
 _PER_DEPARTURE = np.float32(np.degrees(_OF_LENGTH) ** 2)
-_PER_DEPARTURES = np.float32(np.degrees(_OF_LENGTHS) ** 2)
 _PER_HALF_WEIGHT = np.float32(1.0 / HALF_WEIGHT_DEG)
 _PER_DISTANCE = np.float32(np.degrees(_OF_TWO_LIGHTS) ** 2)
 
@@ -112,11 +104,11 @@ def with_expected_error(
     light = FrameLight(np.ascontiguousarray(frame.rgb), None, clipped, np.float32(0), None)
     mask = np.ascontiguousarray(normal_map.mask)
     c = coefficients_from_rig(response, camera)
-    noise_deg, noise, constants = _judged(light, mask, labels, c, residual_deg, blur_px, residual_of_pixels)
+    noise_deg, turns, constants = _judged(light, mask, labels, c, residual_deg, blur_px, residual_of_pixels)
     error, weight = np.empty(shape, np.float32), np.empty(shape, np.float32)
     found = rows_of(np.ascontiguousarray(normal_map.normals_in_camera, np.float32))
     _error_kernel(
-        rows_of(light.image), found, mask, labels, _pairs_of_lights(response), noise, constants, error, weight
+        rows_of(light.image), found, mask, labels, _pairs_of_lights(response), turns, constants, error, weight
     )
     return replace(normal_map, error_deg=error, noise_deg=noise_deg, weight=weight)
 
@@ -200,7 +192,7 @@ def normals_and_errors_from_encoded(
     light = FrameLight(np.ascontiguousarray(encoded), decoding.table, None, decoding.white, maps)
     options = options or InversionOptions()
     c = coefficients_from_rig(response, camera, options.relative_albedo, options.darkest)
-    noise_deg, noise, constants = _judged(light, inside, None, c, residual_deg, blur_px, residual_of_pixels)
+    noise_deg, turns, constants = _judged(light, inside, None, c, residual_deg, blur_px, residual_of_pixels)
     inversion = coefficients_from_response(response, options)
     limits = np.array([inversion.darkest, inversion.clipped_factor, decoding.white], np.float32)
     normals, valid = np.empty((*shape, 3), np.float32), np.empty(shape, np.bool_)
@@ -208,7 +200,7 @@ def normals_and_errors_from_encoded(
     clipped = np.zeros(shape[0], np.int64)
     out = (rows_of(normals), valid, error, weight, clipped)
     image = rows_of(light.image)
-    _normals_and_errors_kernel(image, decoding.table, maps, inside, noise, constants, limits, out)
+    _normals_and_errors_kernel(image, decoding.table, maps, inside, turns, constants, limits, out)
     found = NormalMap(
         normals_in_camera=normals,
         mask=valid,
@@ -225,15 +217,15 @@ def _judged(
 ) -> tuple[Any, Any, Any]:  # fmt: skip
     """Return the noise by cells, in degrees as the bounds are, what `evidence_row` reads, and constants.
 
-    Constants, (47,): M⁻¹, the ambient light, the squared bound that all pixels share, noise along a normal
-    over that across it, and the ellipsoid.
+    Constants, (28,): M⁻¹, the ambient light, the squared bound that all pixels share, and of `fit_ellipsoid`
+    all but the last.
     """
     noise, seen, rows, ellipsoid = evidence_of_frame(light, mask, labels, c, blur_px)
     residual = (_OF_RESIDUAL * max(residual_deg, 0.0)) ** 2
     if of_pixels and seen.any():
         residual = max(residual - float(_PER_NOISE * np.median(noise[seen > 0])), 0.0)
-    fixed = residual + (np.degrees(_OF_ROTATION) * ellipsoid[32]) ** 2
-    constants = np.concatenate([c.inverse.ravel(), c.ambient, (fixed, c.along), ellipsoid])
+    fixed = residual + (np.degrees(_OF_ELLIPSOID) * ellipsoid[15]) ** 2
+    constants = np.concatenate([c.inverse.ravel(), c.ambient, (fixed,), ellipsoid[:15]])
     return np.sqrt(_PER_NOISE * noise), rows, constants.astype(np.float32)
 
 
@@ -243,26 +235,20 @@ def _judged(
 
 @njit(cache=True, fastmath=FLAGS, error_model="numpy")
 def _bound_row(
-    r: Any, g: Any, b: Any, found: Any, unlit: Any, rows: Any, inside: Any, k: Any, m: Any, length: Any,
-    bound: Any, weight: Any,
+    r: Any, g: Any, b: Any, unlit: Any, turns: Any, inside: Any, k: Any, at: Any, length: Any, bound: Any,
+    weight: Any,
 ) -> None:  # fmt: skip
     """Turn a row of colours into unit normals, in place, and fill their length, their bound and its weight.
 
-    found: the normals to judge, or None for these. unlit: squared bound of pixels that not all lights reach,
-    else 0. m: slow changes at the first pixel.
+    unlit: squared bound of pixels that not all lights reach, else 0. turns: variances, of noise and of lost
+    relief. at: `brightness_at` of the first pixel.
     """
-    noise, lost, around_cell = rows[0], rows[1], rows[2]
-    zero, half, one, eight = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(8.0)
+    zero, half, one, nine = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(9.0)
     i00, i01, i02, i10, i11, i12, i20, i21, i22 = k[0], k[1], k[2], k[3], k[4], k[5], k[6], k[7], k[8]
-    a0, a1, a2 = k[9], k[10], k[11]
-    fixed, along_noise, inverse_albedo = k[12], k[13], k[14]
-    e00, e01, e02, e11, e12, e22 = k[15], k[16], k[17], k[18], k[19], k[20]
-    m0, m1, m2, m3, m4, m5, m6, m7, m8 = m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8]
-    f0, f1, f2, told = m[9], m[10], k[42], k[45]
-    s0, s1, s2, s3, s4, s5, s6, s7, s8 = k[21], k[22], k[23], k[24], k[25], k[26], k[27], k[28], k[29]
-    count = len(r)
-    departures, rest = np.empty(count, np.float32), np.empty(count, np.float32)
-    for u in range(count):  # without a branch: eight pixels at a time
+    a0, a1, a2, fixed, inverse_albedo = k[9], k[10], k[11], k[12], k[13]
+    e00, e01, e02, e11, e12, e22 = k[14], k[15], k[16], k[17], k[18], k[19]
+    f0, f1, f2, usual, told = at[0], at[1], at[2], k[26], k[27]
+    for u in range(len(r)):  # without a branch: eight pixels at a time
         red, green, blue = r[u] - a0, g[u] - a1, b[u] - a2
         x = i00 * red + i01 * green + i02 * blue
         y = i10 * red + i11 * green + i12 * blue
@@ -276,68 +262,24 @@ def _bound_row(
         t2 = e02 * x + e12 * y + e22 * z
         along = t0 * x + t1 * y + t2 * z
         turn = max(t0 * t0 + t1 * t1 + t2 * t2 - along * along, zero)
-        at = np.float32(u)
-        n0 = (m0 + at * s0) * x + (m1 + at * s1) * y + (m2 + at * s2) * z
-        n1 = (m3 + at * s3) * x + (m4 + at * s4) * y + (m5 + at * s5) * z
-        n2 = (m6 + at * s6) * x + (m7 + at * s7) * y + (m8 + at * s8) * z
-        longer = n0 * x + n1 * y + n2 * z
-        near = max(n0 * n0 + n1 * n1 + n2 * n2 - longer * longer, zero)
-        foretold = max(one + along + longer + f0 + at * (f1 + at * f2), LEAST_FACING)
+        foretold = max(along + f0 + np.float32(u) * (f1 + np.float32(u) * f2), LEAST_FACING)
         measured = max(size * inverse_albedo, SHORTEST)
         departure = abs(measured * measured - foretold * foretold) / (measured * foretold) * half
-        departure = min(departure, one)  # sinh of the log length
-        departures[u] = departure * departure if seen else zero
-        rest[u] = fixed + _PER_TURN * told * turn + _PER_NEARNESS * near + _PER_NOISE * (noise[u] + lost[u])
-        r[u], g[u], b[u], length[u] = x, y, z, size
-    if found is not None:
-        _leave_out(r, g, b, found, unlit, noise, inside, rest)
-    for u in range(count):
-        # Noise across the axis has one variance, along it `along_noise` times that. A normal that leans away
-        # by t is turned by (1 + cos² t + along sin² t) / 2 of it, its length by sin² t + along cos² t, and
-        # rarely by more than two standard deviations.
-        facing = b[u] * b[u]
-        leaning = one - facing
-        of_turn = eight * noise[u] / (one + facing + along_noise * leaning)
-        own = departures[u] - of_turn * (leaning + along_noise * facing)
-        own = max(_PER_DEPARTURE * own if unlit[u] == zero else zero, _PER_DEPARTURES * around_cell[u])
-        total = rest[u] + own + unlit[u]
-        angle = min(np.sqrt(total), _LARGEST_DEG) if length[u] > SHORTEST else _LARGEST_DEG
+        departure = min(departure * departure, one)  # squared sinh of the log length
+        # as robust fits weigh: next to nothing within three standard deviations, all of it far beyond
+        own = departure * departure / (departure + nine * (usual + turns[u]) + SHORTEST)
+        own = own if unlit[u] == zero else zero
+        total = fixed + _PER_TURN * told * turn + _PER_NOISE * turns[u] + _PER_DEPARTURE * own + unlit[u]
+        angle = min(np.sqrt(total), _LARGEST_DEG) if size > SHORTEST else _LARGEST_DEG
         share = angle * _PER_HALF_WEIGHT
         bound[u] = angle if inside[u] else zero
         weight[u] = one / (one + share * share) if inside[u] else zero
-
-
-@njit(cache=True, fastmath=FLAGS, error_model="numpy")
-def _leave_out(
-    r: Any, g: Any, b: Any, found: Any, unlit: Any, noise: Any, inside: Any, rest: Any
-) -> None:  # fmt: skip
-    """Take from a row of squared bounds the noise of the colours' normals that those found do not have."""
-    count, zero, four = len(r), np.float32(0.0), np.float32(4.0)
-    reach = _LEFT_OUT_PX // 2
-    apart = np.zeros(count + _LEFT_OUT_PX, np.float32)
-    x, y, z = np.empty(count, np.float32), np.empty(count, np.float32), np.empty(count, np.float32)
-    read_row(found, None, x, y, z)
-    for u in range(count):
-        square = (r[u] - x[u]) ** 2 + (g[u] - y[u]) ** 2 + (b[u] - z[u]) ** 2
-        # in two directions; what is farther off is no noise
-        square = min(square, four * noise[u])
-        apart[u + reach] = square if inside[u] & (unlit[u] == zero) else zero
-    step = 1
-    while step < _LEFT_OUT_PX:  # sums of 2, 4, 8, 16
-        ahead = apart[step:]
-        sums = np.empty(len(ahead), np.float32)
-        for u in range(len(sums)):
-            sums[u] = apart[u] + ahead[u]
-        apart, step = sums, 2 * step
-    share, kept = np.float32(0.5 / _LEFT_OUT_PX), np.float32(1.0) - _KEPT
-    for u in range(count):
-        left_out = min(share * apart[u], kept * noise[u])
-        rest[u] -= _PER_NOISE * left_out if unlit[u] == zero else zero
+        r[u], g[u], b[u], length[u] = x, y, z, size
 
 
 @njit(cache=True, parallel=True, fastmath=FLAGS, error_model="numpy")
 def _error_kernel(
-    rgb: Any, normals: Any, mask: Mask, labels: Any, pairs: Any, noise: Any, constants: Any, error: Any,
+    rgb: Any, normals: Any, mask: Mask, labels: Any, pairs: Any, turns: Any, constants: Any, error: Any,
     weight: Any,
 ) -> None:  # fmt: skip
     """Fill (h, w) with the bound in degrees and its weight; 0 outside the mask.
@@ -353,15 +295,15 @@ def _error_kernel(
         count = last - first
         r, g, b = np.empty(count, np.float32), np.empty(count, np.float32), np.empty(count, np.float32)
         length, unlit = np.empty(count, np.float32), np.zeros(count, np.float32)
-        row_noise = np.empty((3, count), np.float32)
-        evidence_row(noise, np.int64(v), first, row_noise)
+        row_turns = np.empty(count, np.float32)
+        evidence_row(turns, np.int64(v), first, row_turns)
         read_row(rgb[v, 3 * first : 3 * last], None, r, g, b)
-        found = None if labels is None else normals[v, 3 * first : 3 * last]
         if labels is not None:
+            found = normals[v, 3 * first : 3 * last]
             _unlit_row(r, g, b, found, labels[v, first:last], pairs, constants, unlit)
+        at = brightness_at(mask.shape, constants[13:], first, v)
         _bound_row(
-            r, g, b, found, unlit, row_noise, mask[v, first:last], constants,
-            slow_changes_at(mask.shape, constants, first, v), length, error[v, first:last],
+            r, g, b, unlit, row_turns, mask[v, first:last], constants, at, length, error[v, first:last],
             weight[v, first:last],
         )  # fmt: skip
 
@@ -382,7 +324,7 @@ def _unlit_row(
             unlit[u] = _LARGEST_DEG * _LARGEST_DEG
             continue
         n0, n1, n2 = normals[3 * u], normals[3 * u + 1], normals[3 * u + 2]
-        red, green, blue, scale = r[u] - k[9], g[u] - k[10], b[u] - k[11], k[14]
+        red, green, blue, scale = r[u] - k[9], g[u] - k[10], b[u] - k[11], k[13]
         # M⁻¹(r − a) says in the plane of the two lights what the normal is, and nothing across it
         x = scale * (k[0] * red + k[1] * green + k[2] * blue)
         y = scale * (k[3] * red + k[4] * green + k[5] * blue)
@@ -408,7 +350,7 @@ def _unlit_row(
 
 @njit(cache=True, parallel=True, fastmath=FLAGS, error_model="numpy")
 def _normals_and_errors_kernel(
-    encoded: Any, table: Any, maps: Any, mask: Mask, noise: Any, constants: Any, limits: Any, out: Any
+    encoded: Any, table: Any, maps: Any, mask: Mask, turns: Any, constants: Any, limits: Any, out: Any
 ) -> None:
     """Fill normals (h, w, 3), valid, the bound in degrees and its weight (h, w), and clipped pixels a row."""
     height, width = mask.shape
@@ -416,9 +358,9 @@ def _normals_and_errors_kernel(
     darkest, clipped_factor, white, zero = limits[0], limits[1], limits[2], np.float32(0.0)
     for v in prange(height):
         r, g, b = np.empty(width, np.float32), np.empty(width, np.float32), np.empty(width, np.float32)
-        length, row_noise = np.empty(width, np.float32), np.empty((3, width), np.float32)
+        length, row_turns = np.empty(width, np.float32), np.empty(width, np.float32)
         unlit, good = np.zeros(width, np.float32), np.empty(width, np.bool_)
-        evidence_row(noise, np.int64(v), 0, row_noise)
+        evidence_row(turns, np.int64(v), 0, row_turns)
         read_row(encoded[v], table, r, g, b)
         count = 0
         for u in range(width):
@@ -429,8 +371,8 @@ def _normals_and_errors_kernel(
         clipped[v] = count
         if maps is not None:
             map_row(maps, np.int64(v), 0, r, g, b)
-        near = slow_changes_at(mask.shape, constants, 0, v)
-        _bound_row(r, g, b, None, unlit, row_noise, good, constants, near, length, error[v], weight[v])
+        at = brightness_at(mask.shape, constants[13:], 0, v)
+        _bound_row(r, g, b, unlit, row_turns, good, constants, at, length, error[v], weight[v])
         to_error, to_weight, to_valid, to_normals = error[v], weight[v], valid[v], normals[v]
         for u in range(width):
             kept = good[u] & (length[u] > darkest) & (length[u] < LONGEST) & (b[u] < zero)

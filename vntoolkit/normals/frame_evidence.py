@@ -1,16 +1,15 @@
 """What a frame tells of the errors of its normals: noise, lost relief, and a rig that is wrong.
 
 - Noise of every kind (shot, read, quantisation, codec) turns normals at random. A surface's slopes (p, q)
-  add up to 0 around a square, p along the rows and q along the columns; noise does not. Squares of 4 pixels
-  show a codec's noise, too, which is alike over several pixels.
+  add up to 0 around a square, p along the rows and q along the columns; noise does not. Around the smallest
+  squares that of single pixels shows. What squares of 4 pixels show beyond it is alike over several pixels,
+  such as a codec's.
 - An error ΔM of the rig or of the material's colour moves M⁻¹r from the unit sphere onto an ellipsoid,
   |M⁻¹r| ≈ 1 + nᵀE n with E the symmetric part of M⁻¹ΔM. The ellipsoid that fits the frame tells E, and E the
   turn of every normal, but for the rotation in M⁻¹ΔM, which leaves no trace. Of the turns, squared, those
   are taken away that a fit to so few independent samples has where E is 0. On a flat subject E02 and E12 are
-  told well and turn its normals; the other entries are hardly told and hardly turn them.
-- Under near lamps M is right at the picture's centre only. A lamp in the direction l at the distance d has at
-  a place δ beside the centre, to first order, the direction times strength l + (3 l (l·δ) − δ) / d. That
-  changes the length of M⁻¹r with the place and the direction, which tells d of each lamp.
+  told well and turn its normals; the other entries are hardly told and hardly turn them. Near lamps,
+  vignetting and wide highlights change the lengths slowly over the image: a quadratic of the place.
 - Blur averages relief away: of a lens, of motion, of colours that were interpolated. What it has left of
   relief as wide as itself foretells what is lost; see `lost_detail`.
 
@@ -32,27 +31,30 @@ from vntoolkit.normals.inversion import read_row, rows_of
 from vntoolkit.normals.lost_detail import LEAST_BLUR_PX, detail_kernel, lost_over_left, side_of_squares
 from vntoolkit.photometry.frame import ALL_LIT
 from vntoolkit.photometry.levelling import FLAGS, map_row, span_of
-from vntoolkit.photometry.response import LightResponse, changes_of_near_lamps
+from vntoolkit.photometry.response import LightResponse
 from vntoolkit.threads import one_blas_thread
 
 SHORTEST, LONGEST = np.float32(1e-6), np.float32(1e18)  # lengths whose squares float32 holds
 LEAST_FACING = np.float32(0.1)
 _CELL = NOISE_CELL_PX  # noise changes slowly: one row of every cell tells it
-_LOOP_PX = 2  # half a side of the squares: a codec's noise is alike over 4 pixels, its smallest blocks
+_LOOP_PX = 2  # half a side of the larger squares: a codec's noise is alike over 4 pixels, its smallest blocks
 # Standard deviations over a cell's median size. White noise of variance 1 adds up to 4 (1/4 + 3 + 1/4) around
 # a square: the pixels at its corners count half. Of 16 squares that overlap the median, squared, is 1.166
 # times that of many that do not.
 _PER_MEDIAN = np.float32(1.4826 / math.sqrt(14.0 * 1.166))
+_PER_SMALL = np.float32(1.4826 / math.sqrt(2.0 * 1.112))  # the same around squares of one pixel
+_OF_ALIKE = np.float32(
+    14.0 / 64.0
+)  # of what is alike along a side of 4 pixels: 16 for each side, not 14 for all
 _EDGE_PX = 4  # from the subject's edge, which blur mixes with what lies behind
 _LEAST_LIGHT, _GRID_PIXELS = 0.3, 4000  # of the length that a fiftieth exceeds, over a grid of pixels
-_SAMPLES, _NEAR_PIXELS = 1000, 9
+_SAMPLES = 1000
 _MOST_PER_KNOWN = 20  # places of the grid that are looked at for a sample
 _ROUNDS = 4
 _GRID = 2.0**-16  # of log lengths that are fitted: finer than any bound, far coarser than their rounding
 _ELLIPSOID_SPREAD = 0.05  # prior standard deviation of E's entries …
-_FALLOFF_SPREAD = 0.1  # … of the slow change of brightness over the image …
-_NEARNESS_SPREAD = 0.3  # … and of half the picture's larger side over a lamp's distance
-_PRIOR = np.repeat([0.0, _ELLIPSOID_SPREAD**-2, _FALLOFF_SPREAD**-2, _NEARNESS_SPREAD**-2], [1, 5, 5, 3])
+_FALLOFF_SPREAD = 0.1  # … and of the slow change of brightness over the image
+_PRIOR = np.repeat([0.0, _ELLIPSOID_SPREAD**-2, _FALLOFF_SPREAD**-2], [1, 5, 5])
 # E by its five entries e00, e11, e01, e02, e12, and their covariance where the nine of M⁻¹ΔM have variance 1.
 _ENTRIES = np.zeros((5, 3, 3))
 _ENTRIES[[0, 0, 1, 1], [0, 2, 1, 2], [0, 2, 1, 2]] = 1, -1, 1, -1
@@ -80,17 +82,13 @@ class Coefficients(NamedTuple):
     """What the loops need to know, float32.
 
     inverse: M⁻¹ at the centre, (3, 3). ambient: (3,). rays: (6,), an affine map from a pixel to its ray.
-    along: variance of equal noise in all channels along a normal that faces the camera, over that across it.
-    darkest: length of M⁻¹(r − a) below which a pixel is black. nearness: (2, 3, 3, 3), M⁻¹ΔM that a step to
-    the right or down makes with each lamp, times the lamp's distance over the step.
+    darkest: length of M⁻¹(r − a) below which a pixel is black.
     """
 
     inverse: Any
     ambient: Any
     rays: Any
-    along: np.float32
     darkest: np.float32
-    nearness: Any
 
 
 def coefficients_from_rig(
@@ -101,16 +99,11 @@ def coefficients_from_rig(
     if camera is not None and camera.is_perspective:
         inverse = np.linalg.inv(camera.matrix[:2, :2])
         rays = np.column_stack([inverse, -inverse @ camera.matrix[:2, 2]]).ravel()
-    spread = response.inverse @ response.inverse.T
-    along = 2.0 * spread[2, 2] / max(float(np.trace(spread) - spread[2, 2]), 1e-12)
-    nearness = np.einsum("ij,akjl->akil", response.inverse, changes_of_near_lamps(response))
     return Coefficients(
         inverse=(response.inverse / relative_albedo).astype(np.float32),
         ambient=response.ambient.astype(np.float32),
         rays=rays.astype(np.float32),
-        along=np.float32(along),
         darkest=np.float32(darkest),
-        nearness=nearness,
     )
 
 
@@ -119,8 +112,8 @@ def evidence_of_frame(
 ) -> tuple[Any, Any, Any, Any]:
     """Return noise, where it was seen, what `evidence_row` reads, and the ellipsoid.
 
-    Noise: (⌈h/16⌉, ⌈w/16⌉), radians²; seen: the same, 0 where neighbours tell it. Rows: (3, ⌈h/16⌉, w), noise
-    and lost relief, radians², and squared departures from the ellipsoid. Ellipsoid: see `fit_ellipsoid`.
+    Noise: (⌈h/16⌉, ⌈w/16⌉), radians²; seen: the same, 0 where neighbours tell it. Rows: (⌈h/16⌉, w), noise
+    and lost relief, radians². Ellipsoid: see `fit_ellipsoid`.
     """
     height, width = mask.shape
     cells = (-(-height // _CELL), -(-width // _CELL))
@@ -128,27 +121,21 @@ def evidence_of_frame(
     c = c._replace(darkest=np.float32(_least_length(light.image, light.table, mask, c)))
     lit = mask if labels is None else mask & (labels == ALL_LIT)  # a shadow's normals belong to no surface
     _curl_kernel(rows_of(light.image), light.table, light.maps, lit, c, found)
-    noise, rows = _means_of_cells(found), np.zeros((3, cells[0], width), np.float32)
-    rows[0] = _along_rows(noise, width)
+    noise = _means_of_cells(found)
+    turns = noise
     known = int(found[1].sum()) * _CELL
     step = max(1, int(math.sqrt(max(known, mask.size // _MOST_PER_KNOWN) // _SAMPLES)))
     samples = np.empty((5, -(-height // step) * -(-width // step)))
     count = _samples_kernel(*light, mask, labels, c, step, samples)
-    ellipsoid, departures = fit_ellipsoid(samples[:, :count], (height, width), c.nearness)
-    u, v = samples[3:, :count].astype(np.intp) // _CELL
-    sums = [np.bincount(v * cells[1] + u, weights, math.prod(cells)) for weights in (departures**2, None)]
-    around = _means_of_cells(np.array(sums, np.float32).reshape(2, *cells))
-    by_noise = np.float32(1 / _NEAR_PIXELS) * noise  # at most, in a mean of nine
-    rows[2] = _along_rows(np.maximum(around - by_noise, np.float32(0)), width)
+    ellipsoid = fit_ellipsoid(samples[:, :count], (height, width))
     if blur_px >= LEAST_BLUR_PX:
         side, left = side_of_squares(blur_px), np.zeros((3, *cells), np.float32)
         detail_kernel(
             rows_of(light.image), *light[1:], mask, labels, c.inverse, c.ambient, np.float32(ellipsoid[0]),
             side, left,
         )  # fmt: skip
-        lost = np.float32(lost_over_left(left, blur_px, side)) * _means_of_cells(left[:2])
-        rows[1] = _along_rows(lost, width)
-    return noise, found[1], rows, ellipsoid
+        turns = noise + np.float32(lost_over_left(left, blur_px, side)) * _means_of_cells(left[:2])
+    return noise, found[1], _along_rows(turns, width), ellipsoid
 
 
 def _means_of_cells(found: Any) -> Any:
@@ -168,33 +155,30 @@ def _along_rows(cells: Any, width: int) -> Any:
 
 
 @one_blas_thread()
-def fit_ellipsoid(
-    samples: FloatArray, shape: tuple[int, int], nearness: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Fit 1 / albedo, e00, e01, e02, e11, e12, e22 of |M⁻¹(r − a)| = albedo (1 + nᵀ(E + u U + v V) n + f),
-    U, V, the numbers of f, brightness that changes slowly over the image, by 1, u, v, u², v², u v, the share
-    of the turns by E, squared, that its own uncertainty does not explain, and the standard deviation of the
-    nine entries of M⁻¹ΔM that makes such turns: (33,). Return it and how far the samples' log lengths depart.
+def fit_ellipsoid(samples: FloatArray, shape: tuple[int, int]) -> FloatArray:
+    """Fit 1 / albedo, e00, e01, e02, e11, e12, e22 of |M⁻¹(r − a)| = albedo (1 + nᵀE n + f).
 
-    Regress the log length of M⁻¹(r − a) on the normal's squares, on what near lamps make of them and on f,
-    robustly. samples: (5, n), M⁻¹(r − a) and the place u, v; here u and v count from the image's centre.
-    shape: of the image. E, symmetric and without trace, is that of the picture's centre.
+    Return them, (16,); the numbers of f, brightness that changes slowly over the image, by 1, u, v, u², v²,
+    u v from the image's centre; the variance of the log lengths about that; the share of the turns by E,
+    squared, that its own uncertainty does not explain; and the standard deviation of the nine entries of
+    M⁻¹ΔM that makes such turns.
+
+    Regress the log length of M⁻¹(r − a) on the normal's squares and on the place, robustly. samples: (5, n),
+    M⁻¹(r − a) and the place u, v. shape: of the image.
     """
-    found, count = np.zeros(33), samples.shape[1]
+    found, count = np.zeros(16), samples.shape[1]
     lengths = np.sqrt((samples[:3] ** 2).sum(axis=0))
     logs = np.log(lengths)
     found[0] = np.exp(-np.median(logs)) if count else 1.0
     if count < 2 * _INDEPENDENT:
-        return found, np.zeros(count)
+        return found
     x, y, z = n = samples[:3] / lengths
     half, middle, mean = max(shape) / 2, (np.array(shape[::-1]) - 1) / 2, samples[3:].mean(axis=1)
     s, t = (samples[3:] - mean[:, None]) / half
     falloff = np.stack([s, t, s * s, t * t, s * t])
     means = falloff.mean(axis=1)
-    products = (n[:, None] * n).reshape(9, count)
-    near = (samples[3:] - middle[:, None])[:, None] / half * (nearness.reshape(2, 3, 9) @ products)
     squares = [np.ones(count), x * x - z * z, y * y - z * z, 2 * x * y, 2 * x * z, 2 * y * z]
-    design = np.vstack([*squares, falloff - means[:, None], near.sum(axis=0)])
+    design = np.vstack([*squares, falloff - means[:, None]])
     worth, spread = np.ones(count), max(logs.std(), 1e-3)
     for _ in range(_ROUNDS):
         weighted = design * (worth * (_INDEPENDENT / count / spread**2))
@@ -206,19 +190,19 @@ def fit_ellipsoid(
     best = _rounded(best)  # sums in another order differ in the last bits
     e00, e11, e01, e02, e12 = best[1:6]
     found[:7] = np.exp(-best[0]), e00, e01, e02, e11, e12, -e00 - e11
-    found[7:25] = (np.einsum("k,akij->aij", best[11:], nearness) / half).ravel()
-    f, (s, t) = best[6:11], (middle - mean) / half  # the picture's centre, from the samples' mean
-    found[25] = f @ (np.array([s, t, s * s, t * t, s * t]) - means)
-    found[26:28] = (f[0] + 2 * f[2] * s + f[4] * t) / half, (f[1] + 2 * f[3] * t + f[4] * s) / half
-    found[28:31] = f[2:] / half**2
+    f, (s, t) = best[6:], (middle - mean) / half  # the picture's centre, from the samples' mean
+    found[7] = f @ (np.array([s, t, s * s, t * t, s * t]) - means)
+    found[8:10] = (f[0] + 2 * f[2] * s + f[4] * t) / half, (f[1] + 2 * f[3] * t + f[4] * s) / half
+    found[10:13] = f[2:] / half**2
+    found[13] = _rounded(spread) ** 2
     # what E's entries turn these normals by, squared: as they were found, and by their uncertainty alone
     parts = _ENTRIES @ n
     turns = np.einsum("jin,kin->jk", parts, parts) - design[1:6] @ design[1:6].T
     turned = best[1:6] @ turns @ best[1:6]
     established = max(turned - np.sum(turns * np.linalg.inv(information)[1:6, 1:6]), 0.0)
-    found[31] = _rounded(established / max(turned, _GRID**2))
-    found[32] = _rounded(math.sqrt(established / np.sum(turns * _OF_EQUAL_ENTRIES)))
-    return found, _rounded(left)
+    found[14] = _rounded(established / max(turned, _GRID**2))
+    found[15] = _rounded(math.sqrt(established / np.sum(turns * _OF_EQUAL_ENTRIES)))
+    return found
 
 
 def _rounded(values: Any) -> Any:
@@ -291,7 +275,7 @@ def _samples_kernel(
                     else:
                         sound &= not clipped[near_v, near_u]
                     r, g, b = r + red, g + green, b + blue
-            ninth = np.float32(1 / _NEAR_PIXELS)
+            ninth = np.float32(1 / 9)
             mean[0, 0], mean[1, 0] = r * ninth + ambient[0], g * ninth + ambient[1]
             mean[2, 0] = b * ninth + ambient[2]
             if maps is not None:
@@ -350,21 +334,25 @@ def _curl_kernel(image: Any, table: Any, maps: Any, mask: Mask, c: Coefficients,
     for cell in prange(found.shape[1]):
         v = min(cell * _CELL + _CELL // 2 - 1, mask.shape[0] - 1 - _LOOP_PX)
         if v >= _LOOP_PX:
-            sizes, places = np.empty(width, np.float32), np.zeros(width, np.bool_)
-            _curl_row(image, table, maps, mask, c, v, sizes, places)
-            _squares_of_cells(sizes, places, found[0, cell], found[1, cell])
+            sizes, small = np.empty(width, np.float32), np.empty(width, np.float32)
+            places = np.zeros(width, np.bool_)
+            _curl_row(image, table, maps, mask, c, v, sizes, small, places)
+            _squares_of_cells(sizes, small, places, found[0, cell], found[1, cell])
 
 
 @njit(cache=True, fastmath=FLAGS, error_model="numpy")
 def _curl_row(
-    image: Any, table: Any, maps: Any, mask: Mask, c: Coefficients, v: int, found: Any, places: Any
-) -> None:
+    image: Any, table: Any, maps: Any, mask: Mask, c: Coefficients, v: int, found: Any, small: Any,
+    places: Any,
+) -> None:  # fmt: skip
+    """Fill the sizes of the circulation around squares of 4 pixels and of one, and where both are known."""
     width, zero, half, one = mask.shape[1], np.float32(0.0), np.float32(0.5), np.float32(1.0)
     first, last = span_of(mask[v])
     # one array each, whose slices have no stride: eight pixels at a time
     p, q, known = np.zeros(width, np.float32), np.zeros(width, np.float32), np.zeros(width, np.float32)
     down, right = np.zeros(width, np.float32), np.zeros(width, np.float32)
     all_known, here = np.ones(width, np.float32), np.empty(width, np.float32)
+    under, across = np.zeros(width, np.float32), np.zeros(width, np.float32)
     for step in range(-_LOOP_PX, _LOOP_PX + 1):
         _slopes_row(
             image[v + step, 3 * first : 3 * last], table, maps, mask[v + step, first:last], c, v + step,
@@ -378,6 +366,11 @@ def _curl_row(
         if is_end:
             for u in range(width):
                 down[u] += sign * p[u]
+        if step == 0 or step == 1:
+            sign = one if step else -one
+            for u in range(width):
+                under[u] += sign * p[u]
+                across[u] += q[u]
         if step == 0:
             here[:] = known
     inner = width - 2 * _LOOP_PX
@@ -392,9 +385,12 @@ def _curl_row(
             good[u] = min(good[u], whole_known[u])
     q_before, q_after = right[:inner], right[2 * _LOOP_PX :]
     to_found, to_places = found[_LOOP_PX : _LOOP_PX + inner], places[_LOOP_PX : _LOOP_PX + inner]
-    of_here = here[_LOOP_PX : _LOOP_PX + inner]
+    of_here, to_small = here[_LOOP_PX : _LOOP_PX + inner], small[_LOOP_PX : _LOOP_PX + inner]
+    p_here, p_next = under[_LOOP_PX : _LOOP_PX + inner], under[_LOOP_PX + 1 : _LOOP_PX + 1 + inner]
+    q_here, q_next = across[_LOOP_PX : _LOOP_PX + inner], across[_LOOP_PX + 1 : _LOOP_PX + 1 + inner]
     for u in range(inner):
         to_found[u] = abs(around[u] - (q_after[u] - q_before[u])) * of_here[u]
+        to_small[u] = half * abs(p_here[u] + p_next[u] - (q_next[u] - q_here[u])) * of_here[u]
         to_places[u] = good[u] > zero
 
 
@@ -411,44 +407,46 @@ def _median_of(values: Any, count: int) -> np.float32:
 
 
 @njit(cache=True)
-def _squares_of_cells(sizes: Any, places: Any, sums: Any, counts: Any) -> None:
-    """Fill every cell's sum of squared circulations, by their median size, and their number."""
-    of_cell = np.empty(_CELL, np.float32)
+def _squares_of_cells(sizes: Any, small: Any, places: Any, sums: Any, counts: Any) -> None:
+    """Fill every cell's sum of variances of noise, by the median circulations, and their number."""
+    of_cell, of_small = np.empty(_CELL, np.float32), np.empty(_CELL, np.float32)
     for cell in range(len(sums)):
         count = 0
         for u in range(cell * _CELL, min((cell + 1) * _CELL, len(sizes))):
             if places[u]:
-                of_cell[count] = sizes[u]
+                of_cell[count], of_small[count] = sizes[u], small[u]
                 count += 1
         if count:
-            deviation = _PER_MEDIAN * _median_of(of_cell, count)
+            single = (_PER_SMALL * _median_of(of_small, count)) ** 2
+            alike = _OF_ALIKE * max((_PER_MEDIAN * _median_of(of_cell, count)) ** 2 - single, np.float32(0.0))
             counts[cell] = np.float32(count)
-            sums[cell] = counts[cell] * min(deviation * deviation, np.float32(1.0))
+            sums[cell] = counts[cell] * min(single + alike, np.float32(1.0))
 
 
 @njit(cache=True, fastmath=FLAGS, error_model="numpy")
-def evidence_row(noise: Any, v: int, first: int, row: Any) -> None:
-    """Fill (3, n) from pixel `first` on, between the rows of cells; linear too."""
+def evidence_row(turns: Any, v: int, first: int, row: Any) -> None:
+    """Fill (n,) from pixel `first` on, between the rows of cells; linear too."""
     y = max((np.float32(v) + np.float32(0.5)) / np.float32(_CELL) - np.float32(0.5), np.float32(0.0))
-    last = noise.shape[1] - 1
+    last = len(turns) - 1
     up = min(int(y), last)
     t, one = y - np.float32(up), np.float32(1.0)
-    for k in range(3):
-        above, below, to = noise[k, up, first:], noise[k, min(up + 1, last), first:], row[k]
-        for u in range(len(to)):
-            to[u] = (one - t) * above[u] + t * below[u]
+    above, below = turns[up, first:], turns[min(up + 1, last), first:]
+    for u in range(len(row)):
+        row[u] = (one - t) * above[u] + t * below[u]
 
 
 @njit(cache=True, fastmath=FLAGS, error_model="numpy")
-def slow_changes_at(shape: Any, k: Any, u: int, v: int) -> Any:
-    """Return M⁻¹ΔM of near lamps at a pixel, (9,), then f of `fit_ellipsoid` there and its slope along u."""
-    half, two = np.float32(0.5), np.float32(2.0)
+def brightness_at(shape: Any, ellipsoid: Any, u: int, v: int) -> tuple[Any, Any, Any]:
+    """Return 1 + f of `fit_ellipsoid` at a pixel, and what it grows by with u and with u²."""
+    half, two, one = np.float32(0.5), np.float32(2.0), np.float32(1.0)
     right, down = np.float32(u) - half * (shape[1] - 1), np.float32(v) - half * (shape[0] - 1)
-    found = np.empty(11, np.float32)
-    for i in range(9):
-        found[i] = np.float32(right) * k[21 + i] + np.float32(down) * k[30 + i]
-    found[9] = (
-        k[39] + k[40] * right + k[41] * down + k[42] * right**2 + k[43] * down**2 + k[44] * right * down
+    f0, f1, f2, f3, f4, f5 = (
+        ellipsoid[7],
+        ellipsoid[8],
+        ellipsoid[9],
+        ellipsoid[10],
+        ellipsoid[11],
+        ellipsoid[12],
     )
-    found[10] = k[40] + two * k[42] * right + k[44] * down
-    return found
+    here = one + f0 + f1 * right + f2 * down + f3 * right**2 + f4 * down**2 + f5 * right * down
+    return here, f1 + two * f3 * right + f5 * down, f3

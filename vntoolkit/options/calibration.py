@@ -58,8 +58,8 @@ class IntrinsicsOptions(Options):
     """Options of the camera fit."""
 
     radial_terms: int = 1
-    """Coefficients of radial distortion, 0 to 2; higher ones follow noise where the corners do not reach the
-    image's edge."""
+    """Number of coefficients of radial distortion, 0 to 2. More would follow noise where no corners are seen
+    near the edge of the image."""
     tangential: int = 0
     """Number of tangential coefficients, 0 or 2."""
 
@@ -75,8 +75,8 @@ class BoardOptions(Options):
     largest_error_px: float = 1.0
     """A frame whose corners miss their projection by more than this root mean square is left out."""
     degree: int = 0
-    """Degree of the polynomials by which M varies over the image, as near lights make it, 0 (one M for the
-    whole image) to 3; more than 0 needs a board that was carried through the whole field."""
+    """Degree of the polynomials by which M varies over the image, 0 to 3. 0 is one M for the whole image.
+    Near lights need 2, and a board that was moved through the whole picture."""
     intrinsics: IntrinsicsOptions = field(default_factory=IntrinsicsOptions)
     """How the camera is fitted where none is given."""
     fit: ResponseFitOptions = field(default_factory=ResponseFitOptions)
@@ -92,8 +92,8 @@ class SphereOptions(Options):
     """Options of the calibration on a ball."""
 
     rim_share: float = 0.02
-    """Outer share of the ball's radius that is left out, where a pixel of error in the outline turns the
-    normal by tens of degrees."""
+    """Share of the ball's radius, next to its rim, that is left out. There an error of one pixel in the
+    outline turns the normal by tens of degrees."""
     fit: ResponseFitOptions = field(default_factory=ResponseFitOptions)
     """How M is fitted."""
 
@@ -133,8 +133,8 @@ class PressOptions(Options):
     samples: int = 400
     """Pixels drawn from a press's contact."""
     flat_share: float = 0.67
-    """Pixels drawn where the gel lies flat, over those of the contact; more make the gel around a touch
-    flatter and the ball less round."""
+    """Number of pixels drawn where the gel is flat, divided by the number drawn in the contact. More of them
+    make the gel around a touch flatter, and the ball less round."""
     label_offset: Named[LabelOffset, Literal["common", "own", "none"]] = named(LabelOffset.COMMON)
     """Whether the circles move to their dents."""
     outlier_sigmas: float = 4.0

@@ -12,10 +12,10 @@ from vntoolkit.options.base import Named, Options, named
 class Integrator(Enum):
     """How slopes become depth.
 
-    FOURIER: Frankot and Chellappa's projection on a mirrored image; full rectangle.
-    COSINE: least squares by the discrete cosine transform; full rectangle; the fastest.
+    DISCONTINUITY: as POISSON; depth may jump where the normals' errors do not explain its residuals.
     POISSON: least squares inside any mask, weighted by confidence.
-    DISCONTINUITY: inside any mask, weighted; depth may jump where the normals suggest it.
+    COSINE: least squares by the discrete cosine transform; full rectangle; the fastest.
+    FOURIER: Frankot and Chellappa's projection on a mirrored image; full rectangle.
     """
 
     FOURIER = "fourier"
@@ -38,15 +38,14 @@ class Precision(Enum):
 class IntegrationOptions(Options):
     """Options of `DepthIntegrator`."""
 
-    integrator: Named[Integrator | None, IntegratorName | None] = named(None)
-    """How slopes become depth: fourier or cosine over a full rectangle, poisson inside any mask, or
-    discontinuity, which lets depth jump where the normals suggest it; by default cosine where every pixel is
-    used, else poisson."""
+    integrator: Named[Integrator, IntegratorName] = named(Integrator.DISCONTINUITY)
+    """How slopes become depth: discontinuity (least squares; depth jumps where the errors of the normals do
+    not explain a residual), poisson (least squares), or cosine or fourier over a full rectangle."""
     steepest_slope_deg: float = 89.0
-    """Angle in degrees between a normal and the way to the camera beyond which slopes are held at that angle;
-    keeps grazing and backward normals from exploding."""
+    """Steepest slope: the largest angle in degrees between a normal and the direction to the camera. A normal
+    beyond it is held at it, so that grazing normals do not tear the depth."""
     least_weight: float = 0.02
-    """Pixels of lower confidence leave the domain (0 to 1)."""
+    """Pixels whose confidence (0 to 1) is lower are left out."""
     precision: Named[Precision, Literal["single", "double"]] = named(Precision.SINGLE)
     """Floating-point precision of cosine and fourier."""
     tolerance: float = 1e-5
@@ -66,8 +65,8 @@ class MeshOptions(Options):
     """How depth becomes triangles."""
 
     largest_step: float = 10.0
-    """A triangle whose depths differ by more than this many pixel widths (at its distance) spans a jump and
-    is left out."""
+    """Largest step of depth within a triangle, in pixel widths at its distance. A triangle with a larger step
+    spans a jump and is left out."""
     stride: int = 1
     """Use every stride-th pixel in both directions."""
 

@@ -127,7 +127,8 @@ class ClockOptions(Options):
     speed: float = 1.0
     """Seconds of motion per second of result."""
     loop: Named[Loop, Literal["none", "repeat", "ping-pong"]] = named(Loop.NONE)
-    """What a cloth shorter than the motion does."""
+    """What the cloth does after its last frame where the motion is longer. none ends there; repeat starts
+    again; ping-pong plays back and forth, so that nothing jumps."""
     frame_rate_hz: float | None = None
     """Frames per second of the result. Default: the cloth's. Blender plays a file at its scene's rate, 24
     unless you set it to the file's."""

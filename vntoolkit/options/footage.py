@@ -15,7 +15,8 @@ class PictureLimits(Options):
     """The largest pictures that are read."""
 
     max_megapixels: float = 200.0
-    """Larger images and frames are refused before memory is asked for them (million pixels)."""
+    """Largest image or frame that is read, in million pixels. A larger one is refused before memory is
+    reserved."""
 
     def _require_valid(self) -> None:
         """Refuse limits that would let everything in, or nothing."""
@@ -30,7 +31,8 @@ class MeshLimits(Options):
     """The largest meshes that are read."""
 
     max_vertices: int = 20_000_000
-    """Meshes and point clouds of more vertices are refused, and so are files too long for as many."""
+    """Meshes and point clouds with more vertices are refused. So are files that are too long for that
+    many."""
 
     def _require_valid(self) -> None:
         if self.max_vertices < 1:

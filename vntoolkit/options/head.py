@@ -25,119 +25,45 @@ class HeadShape(Enum):
 
 
 @dataclass(frozen=True, kw_only=True)
-class SilhouetteOptions(Options):
-    """Options of the silhouettes."""
+class HeadSteps:
+    """Numbers of the stages, for pictures of 640 pixels and more across; no person turns them.
 
-    threshold: float | None = None
-    """Mean of the channels, 0 to 1 of full scale, above which a pixel is subject, before the contour is moved
-    to the edge beside it; default: found from the image's border."""
-
-    def _require_valid(self) -> None:
-        if self.threshold is not None and not 0 < self.threshold < 1:
-            raise BadInput(f"silhouette threshold: expected 0 to 1, got {self.threshold:g}")
-
-
-@dataclass(frozen=True, kw_only=True)
-class TrackOptions(Options):
-    """Options of the tracks."""
+    Tracks: most corners at a time, their least distance and the side of the window that is compared, least
+    distance from the silhouette's edge, pixels. Poses: tracks drawn for the solution, and the smallest turn
+    that carries a calibration. Hull: cells along the longest side. Stereo: views that get a depth map, turns
+    to the views that each is compared with, to both sides, side of the compared window, how far before and
+    behind the hull depth is searched, as shares of its diagonal (0.07 is 2 to 3 cm of a head), least
+    correlation, standard deviation of the smoothing. Fusion: levels of Poisson's octree (7 resolves a 100th
+    of the head), distance as a share of the diagonal within which points of so many other views confirm a
+    point, and within which the hull is no surface. Light: frames and points of the samples, random hypotheses
+    of M, largest colour error of an inlier over its colour's length.
+    """
 
     corners: int = 2000
-    """Most corners followed at a time."""
     corner_spacing_px: float = 7.0
-    """Least distance between corners, pixels."""
     window_px: int = 13
-    """Side of the window that is compared, pixels."""
     margin_px: int = 9
-    """Least distance of a corner from the silhouette's edge, pixels."""
-
-    def _require_valid(self) -> None:
-        if self.corners < 50 or self.window_px < 5 or self.corner_spacing_px < 1 or self.margin_px < 0:
-            raise BadInput("tracks: expected at least 50 corners, a window of 5 px and no negative distance")
-
-
-@dataclass(frozen=True, kw_only=True)
-class FollowOptions(Options):
-    """How frames are matched."""
-
-    features: Named[Features, Literal["tracks", "sift"]] = named(Features.TRACKS)
-    """What is matched between frames: tracks of the skin (video), or SIFT features (photographs up to 20
-    degrees apart)."""
-    silhouettes: SilhouetteOptions = field(default_factory=SilhouetteOptions)
-    tracks: TrackOptions = field(default_factory=TrackOptions)
-
-
-LEAST_TRACKS = 60
-
-
-@dataclass(frozen=True, kw_only=True)
-class PoseOptions(Options):
-    """Options of the poses."""
-
     pose_tracks: int = 2000
-    """Tracks drawn at random for the solution; more cost time and gain little."""
     least_turn_deg: float = 40.0
-    """Smallest turn from one end to the other that carries a calibration."""
-
-    def _require_valid(self) -> None:
-        if self.pose_tracks < LEAST_TRACKS or not 0 < self.least_turn_deg < 180:
-            raise BadInput(
-                f"poses: expected at least {LEAST_TRACKS} tracks and a least turn from 0 to 180 degrees"
-            )
-
-
-@dataclass(frozen=True, kw_only=True)
-class HullOptions(Options):
-    """How finely the hull is carved."""
-
     hull_cells: int = 128
-    """Cells along the longest side of the box."""
-
-    def _require_valid(self) -> None:
-        if not 16 <= self.hull_cells <= 512:
-            raise BadInput(f"hull: expected 16 to 512 cells, got {self.hull_cells}")
-
-
-# Of the second pass: neighbours from well correlated to precise in depth, and smaller windows.
-_CLOSER_ANGLES_DEG = (6.0, 12.0, 18.0)
-_CLOSER_WINDOW_PX, _LESS_SMOOTH = 5, 0.5
-_CLOSE = 0.012  # of the diagonal: how far it searches to both sides
-
-
-@dataclass(frozen=True, kw_only=True)
-class StereoOptions(Options):
-    """Options of the search for depth."""
-
     references: int = 11
-    """Views that get a depth map, evenly over the turn."""
     neighbour_angles_deg: tuple[float, ...] = (10.0, 16.0)
-    """Turn between a reference and the views it is compared with, to both sides."""
     stereo_window_px: int = 13
-    """Side of the compared window."""
     before: float = 0.010
-    """How far in front of the hull depth is searched, as a share of its diagonal; the head lies inside the
-    hull, so little is needed: raise it where the silhouettes cut into the head."""
     behind: float = 0.070
-    """How far beneath the hull depth is searched, as a share of its diagonal, 0.07 being 2 to 3 cm of a head;
-    raise it where hollows such as eye sockets come out filled, lower it where dents appear that the head does
-    not have."""
     least_correlation: float = 0.6
-    """Correlation of the compared windows, 0 to 1, below which a pixel gets no depth; lower it to 0.5 where
-    smooth or dark skin leaves holes, raise it to 0.7 where wrong points roughen the surface."""
     smoothing_px: float = 2.0
-    """Standard deviation of the smoothing of the depth in a map."""
-
-    def _require_valid(self) -> None:
-        if self.references < 1 or self.stereo_window_px < 5 or self.stereo_window_px % 2 == 0:
-            raise BadInput("stereo: expected at least one reference and an odd window of 5 px or more")
-        if not self.neighbour_angles_deg or min(self.neighbour_angles_deg) <= 0:
-            raise BadInput("stereo: expected neighbours at positive angles")
-        if min(self.before, self.behind, self.smoothing_px) <= 0:
-            raise BadInput("stereo: expected positive depths and smoothing")
-        if not 0 < self.least_correlation < 1:
-            raise BadInput("stereo: expected a correlation from 0 to 1")
+    fusion_depth: int = 7
+    agreement: float = 0.004
+    confirmations: int = 1
+    hull_gap: float = 0.008
+    light_frames: int = 14
+    light_points: int = 3000
+    light_draws: int = 1500
+    light_inlier: float = 0.12
 
     def closely(self) -> Self:
-        """Return the options of the second pass, about the mesh of the first, in small windows."""
+        """Return the numbers of the second pass of stereo: about the first one's mesh, in small windows."""
         return replace(
             self,
             before=_CLOSE,
@@ -148,71 +74,30 @@ class StereoOptions(Options):
         )
 
 
-@dataclass(frozen=True, kw_only=True)
-class FusionOptions(Options):
-    """How depths become a mesh."""
-
-    fusion_depth: int = 7
-    """Levels of Poisson's octree; 7 resolves about a 100th of the head."""
-    agreement: float = 0.004
-    """Distance, as a share of the hull's diagonal, within which points of another view must confirm a point.
-    """
-    confirmations: int = 1
-    """How many other views must confirm a point for it to be kept; raise it to 2 or 3 where single wrong
-    points leave bumps, lower it to 0 where parts that few views saw are missing."""
-    hull_gap: float = 0.008
-    """The hull itself is surface where no depth of stereo lies within this distance, as a share of the
-    diagonal."""
-
-    def _require_valid(self) -> None:
-        if not 4 <= self.fusion_depth <= 12 or self.confirmations < 0:
-            raise BadInput("fusion: expected a depth of 4 to 12 and no negative number of confirmations")
-        if min(self.agreement, self.hull_gap) <= 0:
-            raise BadInput("fusion: expected a positive agreement and hull gap")
-
-
-@dataclass(frozen=True, kw_only=True)
-class SampleOptions(Options):
-    """Where colours are taken."""
-
-    light_frames: int = 14
-    """Frames, spread over the turn."""
-    light_points: int = 3000
-    """Points of the skin, spread over orientations."""
-
-    def _require_valid(self) -> None:
-        if self.light_frames < 3 or self.light_points < 100:
-            raise BadInput("light: expected at least 3 frames and 100 points")
-
-
-@dataclass(frozen=True, kw_only=True)
-class LightOptions(Options):
-    """Options of the fit of M to skin."""
-
-    light_model: Named[ResponseModel, ResponseModelName] = named(ResponseModel.LINEAR)
-    """3×3, or 3×4 with ambient light, for skin of one albedo only: on bare skin, variation of albedo passes
-    for ambient light."""
-    light_draws: int = 1500
-    """Random hypotheses of M that are tried."""
-    light_inlier: float = 0.12
-    """Largest colour error of an inlier over its colour's length."""
-
-    def _require_valid(self) -> None:
-        if self.light_draws < 1 or not 0 < self.light_inlier < 1:
-            raise BadInput("light: expected at least one draw and an inlier share from 0 to 1")
+# Of the second pass: neighbours from well correlated to precise in depth, and smaller windows.
+_CLOSER_ANGLES_DEG = (6.0, 12.0, 18.0)
+_CLOSER_WINDOW_PX, _LESS_SMOOTH = 5, 0.5
+_CLOSE = 0.012  # of the diagonal: how far it searches to both sides
 
 
 @dataclass(frozen=True, kw_only=True)
 class HeadOptions(Options):
-    """Options of all stages."""
+    """How a rig is fitted to a head."""
 
     head_shape: Named[HeadShape, Literal["hull", "fused", "refined"]] = named(HeadShape.REFINED)
     """Shape that gives the normals: from silhouettes only, fused with stereo, or refined by the normals of
     all frames."""
-    following: FollowOptions = field(default_factory=FollowOptions)
-    poses: PoseOptions = field(default_factory=PoseOptions)
-    hull: HullOptions = field(default_factory=HullOptions)
-    stereo: StereoOptions = field(default_factory=StereoOptions)
-    fusion: FusionOptions = field(default_factory=FusionOptions)
-    samples: SampleOptions = field(default_factory=SampleOptions)
-    light: LightOptions = field(default_factory=LightOptions)
+    features: Named[Features, Literal["tracks", "sift"]] = named(Features.TRACKS)
+    """What is matched between frames: tracks of the skin (video), or SIFT features (photographs up to 20
+    degrees apart)."""
+    threshold: float | None = None
+    """Mean of the channels, 0 to 1 of full scale, above which a pixel is subject. The contour is then moved
+    to the edge beside it. Default: found from the image's border."""
+    light_model: Named[ResponseModel, ResponseModelName] = named(ResponseModel.LINEAR)
+    """3×3; or 3×4, which adds ambient light. Take 3×4 for skin of one colour only: on bare skin it takes
+    changes of the albedo for ambient light."""
+    steps: HeadSteps = field(default_factory=HeadSteps)
+
+    def _require_valid(self) -> None:
+        if self.threshold is not None and not 0 < self.threshold < 1:
+            raise BadInput(f"silhouette threshold: expected 0 to 1, got {self.threshold:g}")

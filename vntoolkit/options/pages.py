@@ -32,8 +32,8 @@ class ScenePageOptions(Options):
     picture_px: int = 640
     """Longest side of that page's pictures, pixels."""
     most_frames: int = 150
-    """Most frames on that page, evenly spread over those there are; 12,000 vertices and four pictures of 640
-    pixels take about 0.3 MB a frame."""
+    """Most frames on that page, evenly spread over the sequence. With 12,000 vertices and four pictures of
+    640 pixels, a frame takes about 0.3 MB."""
 
     def _require_valid(self) -> None:
         if self.vertices < 4 or self.picture_px < 1 or self.most_frames < 1:
@@ -66,8 +66,8 @@ class CameraOptions(Options):
     height: int = 720
     """The same for the height."""
     rate: float = 30.0
-    """Frames a second that the camera is asked for; a video plays at its own with --realtime, else as fast as
-    it can be read."""
+    """Frames per second that the camera is asked for. A video plays at its own rate with --realtime, else as
+    fast as it can be read."""
 
     def _require_valid(self) -> None:
         if self.width < 1 or self.height < 1 or not 0 < self.rate < math.inf:

@@ -45,7 +45,7 @@ class DepthOffset(Enum):
 class ReconstructOptions(Options):
     """Options of `reconstruct`, with those of its stages.
 
-    A rig fitted to presses on a gel turns materials and shadows off: it is the gel's own.
+    With the rig of a tactile gel, materials and shadows are off.
     """
 
     to: Named[Product, Literal["normals", "depth", "mesh"]] = named(Product.MESH)
@@ -55,8 +55,8 @@ class ReconstructOptions(Options):
     that normals alone leave free."""
     materials: Named[MaterialSearch | int, Literal["auto", "calibrated"] | int] = named(MaterialSearch.AUTO)
     """How many materials the subject has: a number, or auto to find as many as there are, or calibrated for
-    the calibration material alone. The first frames tell their reflectances. A rig without the colours of its
-    lamps knows the calibration material alone."""
+    the calibration material alone. Their reflectances are found in some of the frames. A rig without the
+    colours of its lamps knows the calibration material alone."""
     shadows: Named[ShadowMethod, ShadowMethodName] = named(ShadowMethod.ROBUST)
     """Method that finds where the subject shadows itself: robust, published (the paper's detector) or none.
     The surface in shadow is then recovered, and visibility labels are written."""
@@ -64,8 +64,8 @@ class ReconstructOptions(Options):
     """How the free constant of the depth is fixed. reference ties every frame to one, so that depth rests
     where the subject does. mean gives every connected part a mean depth of 0 (perspective: 1)."""
     reference_frame: int | None = None
-    """The frame that depth is tied to, and that tells noise and blur of materials' seams. Default: the first
-    of all that were asked for."""
+    """Depth is tied to this frame. Noise and the blur of materials' seams are measured in it. Default: the
+    first of all frames that were asked for."""
     smoothing: float = 0.0
     """Average a pixel with the frames before and after where its colour differs by less than this share of
     full scale. 0 is off; about 3 times the noise is useful."""

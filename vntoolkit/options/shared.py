@@ -40,7 +40,8 @@ class AllowOptions(Options):
     """Which findings do not stop a run."""
 
     allow: tuple[str, ...] = ()
-    """Continue despite the fatal findings of these checks. The name of a check ends its finding's line."""
+    """Continue despite the fatal findings of these checks. A finding's line ends with the name of its
+    check."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,12 +1,15 @@
 """How frames are registered to one mesh."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
+from pathlib import Path
 from typing import Literal, TypeAlias
 
-from vntoolkit.checks import require_in_range
+from vntoolkit.checks import require_in_range, require_positive
 from vntoolkit.errors import BadInput
-from vntoolkit.options.base import Named, Options, named
+from vntoolkit.options.base import File, Named, OptionalFile, Options, named
+from vntoolkit.options.footage import ReadingLimits
+from vntoolkit.options.shared import MovedFootageOptions
 
 LOST_PX = 4.0  # expected error of a vertex above which it is called lost
 _PAPERS_LENGTH = 38.7  # edges: sqrt(1.5 / β) for the paper's β = 1e-3 on edges of length 1
@@ -40,8 +43,8 @@ class TrackingOptions(Options):
     method: Named[Tracker, TrackerName] = named(Tracker.DEFAULT)
     """The tracking method: the default, or a published one for comparison."""
     smoothing_length: float = _PAPERS_LENGTH
-    """In edges; the Laplacian methods keep waves longer than about five times this (β = 1.5 / length²; the
-    default is the paper's β = 1e-3)."""
+    """Smoothing of the Laplacian methods, in edge lengths: they keep waves longer than about five times this.
+    β = 1.5 / length²; the default is the paper's β = 1e-3."""
     data_share: float = _PAPERS_SHARE
     """Share of the data term in the translation method (α), 0 to 1. Default: the paper's."""
 
@@ -66,3 +69,34 @@ class CheckerboardOptions(Options):
 
     def _require_valid(self) -> None:
         require_in_range(self.square_px, 1, 10_000, "square of the checkerboard in pixels")
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrackArguments(MovedFootageOptions, TrackingOptions, CheckerboardOptions, ReadingLimits):
+    """What `track` takes."""
+
+    folder: File = field(kw_only=False)
+    """The folder that `vntoolkit reconstruct` wrote, with normals and depth."""
+    seams: OptionalFile = named(None)
+    """JSON file of polylines on the template image. The surface is cut along them, as at mouth and eyes."""
+    template: int | None = None
+    """Number of the template frame. Default: the one that shows most of the surface, lit and sharp; with
+    --seams, and on a tactile gel, the first. It is tracked forwards and backwards."""
+    out: OptionalFile = named(None)
+    """The folder to write; default FOLDER/track."""
+    lost_px: float = LOST_PX
+    """A vertex is called lost where its expected error is above this, in pixels."""
+    background: OptionalFile = named(None)
+    """The background image that the reconstruction subtracted, for the colours of the texture."""
+    object: bool = False
+    """On a tactile gel: also write object.csv, the pose of what touches it, frame by frame."""
+    overwrite: bool = False
+    """Replace the tracks that the folder holds."""
+
+    @property
+    def target(self) -> Path:
+        """The folder to write."""
+        return self.out or Path(self.folder) / "track"
+
+    def _require_valid(self) -> None:
+        require_positive(self.lost_px, "expected error from which a vertex is lost, in pixels")

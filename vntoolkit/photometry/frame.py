@@ -10,6 +10,12 @@ from vntoolkit.display import Displayed, Facts, Picture, picture_of_light, share
 from vntoolkit.errors import BadInput
 
 ALL_LIT = 7
+LABEL_LEGEND: dict[str, str] = {
+    str(label): "no light" if label == 0 else "lit by " + " and ".join(
+        f"light {light}" for light in range(3) if label >> light & 1
+    )
+    for label in range(8)
+}  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

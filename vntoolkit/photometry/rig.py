@@ -71,8 +71,8 @@ class Rig(Displayed):
             return replace(self, camera=camera)
         if not (self.camera.is_perspective and camera.is_perspective):
             raise BadRig(
-                "another camera: M changes over the picture, and an orthographic camera does not tell how "
-                "large the same surface is in the other; calibrate with --focal-px or --camera"
+                "another camera: M varies over the picture, so both cameras must be perspective, and one is "
+                "orthographic; calibrate with --focal-px or --camera"
             )
         scale = float(camera.matrix[0, 0] / self.camera.matrix[0, 0])
         middle, other = self.camera.matrix[:2, 2], camera.matrix[:2, 2]
@@ -87,8 +87,8 @@ class Rig(Displayed):
         """Raise `BadRig` where a tactile gel's rig is used without its untouched gel."""
         if self.gel is not None and not given:
             raise BadRig(
-                "the rig is that of a tactile gel, which is compared with itself: give the photograph of the "
-                "untouched gel with --background"
+                "the rig is that of a tactile gel: expected a photograph of the untouched gel, got none; "
+                "give it with --background"
             )
 
     def require_size(self, width: int, height: int, name: str) -> None:

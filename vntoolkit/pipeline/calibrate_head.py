@@ -34,7 +34,7 @@ from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.io.footage.captures import Capture
 from vntoolkit.io.footage.decoding import Undistorter
 from vntoolkit.options.footage import Gaps
-from vntoolkit.options.head import Features, FollowOptions, HeadOptions, HeadShape, HullOptions
+from vntoolkit.options.head import Features, HeadOptions, HeadShape, HeadSteps
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline.calibrate import CalibrationJob, rig_of
@@ -95,21 +95,21 @@ def calibrate_head(
         motion = solve_head_motion(
             tracks,
             undistorter.camera,
-            options.poses,
+            options.steps,
             rng,
             refine_focal=given is None,
-            features=options.following.features,
+            features=options.features,
         )
     with clock.whole_stage("hull"):
-        carved = _carve(footage, motion, options.hull)
+        carved = _carve(footage, motion, options.steps)
     shape = carved.mesh
     if options.head_shape is not HeadShape.HULL:
         carved, shape = _with_stereo(footage, carved, options, clock, refine_focal=given is None)
     turn = _Turn(capture=capture, undistorter=undistorter, footage=footage, motion=carved.motion)
     with clock.stage("light"):
-        chosen = spread_over_turn(carved.views, options.samples.light_frames)
-        samples = sample_head(shape, carved.motion.camera, turn.frames(chosen), options.samples, rng)
-        light = fit_light(samples, HeadRays(shape), options.light, rng)
+        chosen = spread_over_turn(carved.views, options.steps.light_frames)
+        samples = sample_head(shape, carved.motion.camera, turn.frames(chosen), options.steps, rng)
+        light = fit_light(samples, HeadRays(shape), options.steps, rng, options.light_model)
         on_progress("light", 1, 1)
     mesh, refined = shape, None
     if options.head_shape is HeadShape.REFINED:
@@ -120,7 +120,7 @@ def calibrate_head(
                 carved.motion.camera,
                 partial(turn.frames, chosen),
                 light,
-                options.light,
+                options.steps,
                 rng,
                 partial(on_progress, "refinement"),
             )
@@ -152,13 +152,13 @@ class _Carved:
     mesh: Mesh
 
 
-def _carve(footage: HeadFootage, motion: HeadMotion, options: HullOptions) -> _Carved:
+def _carve(footage: HeadFootage, motion: HeadMotion, steps: HeadSteps) -> _Carved:
     views = [
         SilhouetteView(camera=motion.camera, camera_from_head=pose, mask=silhouette.mask)
         for pose, silhouette in zip(motion.camera_from_head, footage.silhouettes, strict=True)
     ]
     box = box_about_points(motion.points_in_head)
-    grid = fit_hull([views[k] for k in spread_over_turn(views, _HULL_VIEWS)], box, options)
+    grid = fit_hull([views[k] for k in spread_over_turn(views, _HULL_VIEWS)], box, steps)
     return _Carved(motion=motion, views=views, grid=grid, mesh=mesh_of_grid(grid))
 
 
@@ -166,19 +166,19 @@ def _with_stereo(
     footage: HeadFootage, carved: _Carved, options: HeadOptions, clock: _Clock, *, refine_focal: bool
 ) -> tuple[_Carved, Mesh]:
     """Fuse stereo into the hull twice: what the first pass finds corrects the poses for the second."""
-    fuse = partial(fit_shape, contrasts=footage.contrasts, fusion=options.fusion)
+    fuse = partial(fit_shape, contrasts=footage.contrasts)
     with clock.stage("stereo"):
         progress = partial(clock.on_progress, "stereo")
-        rough = fuse(carved.views, hull=carved.grid, stereo=options.stereo, on_progress=progress)
+        rough = fuse(carved.views, hull=carved.grid, steps=options.steps, on_progress=progress)
     with clock.whole_stage("poses again"):
         again = find_again(carved.views, footage.details, rough, carved.motion.points_in_head)
         motion, moved = adjust_head_motion(carved.motion, *again, refine_focal=refine_focal)
-        carved = _carve(footage, motion, options.hull)
+        carved = _carve(footage, motion, options.steps)
         rough = rough.with_vertices(moved.apply(rough.vertices))
     with clock.stage("stereo again"):
         progress = partial(clock.on_progress, "stereo again")
-        closely = options.stereo.closely()
-        shape = fuse(carved.views, hull=carved.grid, stereo=closely, on_progress=progress, about=rough)
+        closely = options.steps.closely()
+        shape = fuse(carved.views, hull=carved.grid, steps=closely, on_progress=progress, about=rough)
     return carved, shape
 
 
@@ -225,7 +225,7 @@ def _follow(
             yield undistorter.frame(frame)
             on_progress("tracks", done, len(numbers))
 
-    return follow_frames(frames(), undistorter.camera, options.following)
+    return follow_frames(frames(), undistorter.camera, options)
 
 
 class _Clock:
@@ -264,14 +264,14 @@ class HeadFootage:
 
 
 def follow_frames(
-    frames: Iterable[LinearFrame], camera: Camera, options: FollowOptions
+    frames: Iterable[LinearFrame], camera: Camera, options: HeadOptions
 ) -> tuple[HeadFootage, Tracks]:
     """Find silhouettes and tracks in undistorted frames; raise `BadCalibration` where either is no use."""
     sift = options.features is Features.SIFT
-    builder = SiftBuilder(camera=camera) if sift else TrackBuilder(options=options.tracks)
+    builder = SiftBuilder(camera=camera) if sift else TrackBuilder(steps=options.steps)
     numbers, silhouettes, contrasts, details = [], [], [], []
     for frame in frames:
-        silhouette = find_silhouette(frame.rgb, options.silhouettes)
+        silhouette = find_silhouette(frame.rgb, options.threshold)
         contrasts.append(local_contrast(frame.rgb))
         builder.add(contrasts[-1], silhouette.bright)
         numbers.append(frame.number)

@@ -16,7 +16,7 @@ from vntoolkit.geometry.rectification import Rectification
 from vntoolkit.io.files import read_text, source_file
 from vntoolkit.io.footage.captures import Capture, CaptureOptions, open_capture
 from vntoolkit.io.footage.decoding import rectify_frame
-from vntoolkit.io.footage.images import write_png
+from vntoolkit.io.footage.image_writing import write_png
 from vntoolkit.io.footage.sequence import CaptureKind
 from vntoolkit.io.results.folder import write_lock
 from vntoolkit.options.calibration import LabelOffset, PressOptions

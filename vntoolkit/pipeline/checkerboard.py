@@ -9,9 +9,9 @@ import numpy as np
 from vntoolkit.arrays import ByteArray
 from vntoolkit.errors import BadInput
 from vntoolkit.io.footage.frame_range import sampled
-from vntoolkit.io.footage.images import write_png
+from vntoolkit.io.footage.image_writing import write_png
 from vntoolkit.options.tracking import CheckerboardOptions
-from vntoolkit.pipeline.opened_result import OpenedResult, open_result
+from vntoolkit.pipeline.opened_result import OpenedResult, read_result
 from vntoolkit.pipeline.tracked_folder import Tracks, read_tracks
 from vntoolkit.tracking.checkerboard import checkerboard_frame
 
@@ -34,7 +34,7 @@ def write_checkerboard(
     from vntoolkit.io.footage.video import write_video
 
     target = track_folder or folder / "track"
-    tracks, result = read_tracks(target), open_result(folder, says_missing=False)
+    tracks, result = read_tracks(target), read_result(folder, says_missing=False)
     wanted = set(sampled(range(len(tracks.numbers)), _SHEET_COLUMNS * _SHEET_ROWS))
     moments: dict[int, ByteArray] = {}
 

@@ -131,7 +131,7 @@ class _Watched:
         if self.at_work:
             self._last_at_work = now
         elif now - self._last_at_work > _SECONDS_OF_SILENCE:
-            raise _gone("no worker of the Dask scheduler is at work any more")
+            raise _gone("the Dask scheduler has no running worker any more")
 
 
 def _gone(what: str) -> VntError:
@@ -169,7 +169,7 @@ def _collect(
                 looked_at = time.monotonic()
     except (OSError, TimeoutError, distributed.client.FutureCancelledError) as error:
         watched.look()
-        raise _gone("Dask's workers, and what they held for this run, are gone") from error
+        raise _gone("Dask's workers have ended, with what they held for this run") from error
     finally:
         if client.status == "running" and watched.at_work:
             client.cancel(list(running), force=True)

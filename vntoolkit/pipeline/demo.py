@@ -10,12 +10,12 @@ from pathlib import Path
 from vntoolkit.geometry.board_layout import BoardLayout
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.results.folder import write_lock
+from vntoolkit.io.results.manifest import ReconstructionFolder
 from vntoolkit.io.rigs import read_rig, write_rig
 from vntoolkit.options.calibration import BoardOptions
 from vntoolkit.options.reconstruction import ReconstructOptions
 from vntoolkit.options.simulation import DemoOptions, SceneOptions
 from vntoolkit.pipeline.calibrate import CalibrationJob, calibrate_board
-from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.reconstruct import ReconstructionSummary, reconstruct
 from vntoolkit.pipeline.request import Request
 from vntoolkit.pipeline.simulate import SimulationFolder, SimulationJob, simulate

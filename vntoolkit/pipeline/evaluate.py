@@ -29,8 +29,8 @@ from vntoolkit.integration.integrate import DepthIntegrator
 from vntoolkit.io.atomic import write_text
 from vntoolkit.io.files import parse_json, read_text, require_file
 from vntoolkit.io.maps_and_meshes.arrays import map_npy, read_npz
-from vntoolkit.io.maps_and_meshes.label_images import read_mask
 from vntoolkit.io.maps_and_meshes.maps import read_normal_map
+from vntoolkit.io.maps_and_meshes.masks import read_mask
 from vntoolkit.io.maps_and_meshes.meshes import read_mesh
 from vntoolkit.io.rigs import read_rig
 from vntoolkit.options.depth import IntegrationOptions, Integrator

@@ -18,15 +18,11 @@ from vntoolkit.geometry.maps import LengthUnit
 from vntoolkit.geometry.mesh import Mesh, vertex_normals
 from vntoolkit.io import atomic
 from vntoolkit.io.conventions import graphics_from_camera
-from vntoolkit.io.footage.frame_range import FrameRange
-from vntoolkit.io.light_files import remove_diligent, write_diligent
-from vntoolkit.io.maps_and_meshes.arrays import StreamedArray, write_npz
 from vntoolkit.io.maps_and_meshes.maps import write_normal_map
-from vntoolkit.io.maps_and_meshes.meshes import write_material, write_mesh, write_point_cloud
 from vntoolkit.io.maps_and_meshes.texture import SurfaceTexture
 from vntoolkit.io.results.folder import FolderKind, begin_run, read_lock, write_lock
 from vntoolkit.options.export import ExportedSurface, ExportFormat, ExportOptions, FileUnit
-from vntoolkit.pipeline.opened_result import OpenedResult, open_result
+from vntoolkit.pipeline.opened_result import OpenedResult, read_result
 from vntoolkit.pipeline.options import option_values
 from vntoolkit.pipeline.texture_files import texture_of_tracks, with_captured_colours
 
@@ -44,13 +40,13 @@ _HEADROOM = 1.25  # of a light's picture over the brightest that the rig's mater
 class ExportJob:
     """What to export. folder: of `reconstruct`. out: file or folder, None for folder/export/….
 
-    footage, background: for `diligent`, as for `open_result`.
+    footage, background: for `diligent`, as for `read_result`.
     """
 
     folder: Path
     options: ExportOptions
     out: Path | None = None
-    frames: FrameRange | None = None
+    frames: str | None = None
     footage: str = ""
     background: Path | None = None
 
@@ -82,7 +78,7 @@ def export(
     it stopped, and writes again what has changed since. Raises `BadInput`.
     """
     with read_lock(job.folder):
-        result = open_result(job.folder, frames=job.frames, footage=job.footage, background=job.background)
+        result = read_result(job.folder, frames=job.frames, footage=job.footage, background=job.background)
         track = _track_of(result, job.options)
         if job.options.to is ExportFormat.USD or (job.options.to is ExportFormat.GLB and track is not None):
             return _export_animation(job, result, track, on_start, on_frame)
@@ -209,13 +205,19 @@ def _export_folder(
     return ExportSummary(out=out, frames=len(numbers), kept=len(kept), is_tracked=writer.is_tracked)
 
 
+def _remove_frame_folder(folder: Path) -> None:
+    from vntoolkit.io.light_files import remove_diligent
+
+    remove_diligent(folder)
+
+
 EXPORT = FolderKind(
     verb="export",
     holds="an export",
     record="export.json",
     files=("track.npz", _MATERIAL, "surface_albedo.png", "surface_normal.png"),
     frames={".": (".ply", ".obj", ".glb", ".npz", ".png")},  # whatever the format of the earlier one
-    clear_frame=remove_diligent,
+    clear_frame=_remove_frame_folder,
 )
 
 
@@ -372,12 +374,16 @@ class _Meshes(FrameExport):
             camera = viewed_from(self.result.camera, self.offset)
             write_glb(path, mesh, iter([mesh.vertices]), frame_rate_hz=rate, camera=camera)
         else:
+            from vntoolkit.io.maps_and_meshes.meshes import write_mesh
+
             write_mesh(path, mesh, up=self.options.up, material=material)
 
     def _material(self, out: Path) -> str:
         """Write the material that all frames share, once; return its name."""
         path = out / _MATERIAL
         if self._texture is not None and not self._has_material:
+            from vntoolkit.io.maps_and_meshes.meshes import write_material
+
             beside = self._texture.beside(path)
             write_material(path, beside.albedo, beside.normal)
             self._has_material = True
@@ -400,6 +406,7 @@ class _PointClouds(FrameExport):
         return [self.result.folder.file(kind, number) for kind in ("normals", "depth")]
 
     def write(self, out: Path, number: int) -> None:
+        from vntoolkit.io.maps_and_meshes.meshes import write_point_cloud
         from vntoolkit.meshing.surface import point_cloud_from_depth
 
         depth_map = self.result.depth(number)
@@ -434,6 +441,8 @@ class _Arrays(FrameExport):
         return [self.result.folder.file(kind, number) for kind in ("normals", "depth", "shadows", "mesh")]
 
     def write(self, out: Path, number: int) -> None:
+        from vntoolkit.io.maps_and_meshes.arrays import write_npz
+
         write_npz(self.place(out, number), arrays_of_frame(self.result, number, self.options, self.factor))
 
     def finish(self, out: Path) -> None:
@@ -464,6 +473,8 @@ class _Diligent(FrameExport):
         return self.place(out, number) / "filenames.txt"
 
     def write(self, out: Path, number: int) -> None:
+        from vntoolkit.io.light_files import write_diligent
+
         response = self.result.rig.response
         rgb = self.result.linear(number).rgb - response.ambient
         contributions = rgb @ response.contributions_from_rgb.T / self._scale
@@ -536,6 +547,8 @@ def write_tracked_npz(
 ) -> None:
     """Write the registered surface: vertices (frames, n, 3), faces, uv, uncertainty_px, frames, times_s,
     frame_rate_hz."""
+    from vntoolkit.io.maps_and_meshes.arrays import StreamedArray, write_npz
+
     wanted = set(numbers)
     rows = [row for row, number in enumerate(track.numbers) if number in wanted]
     sequence, template = track.sequence, track.sequence.template

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -18,9 +18,8 @@ from vntoolkit.native import loops_may_overlap
 from vntoolkit.options.reconstruction import OnError
 from vntoolkit.photometry.frame import ALL_LIT
 from vntoolkit.pipeline.frame_processor import Carried, FrameProcessor, PreparedFrame
-from vntoolkit.pipeline.outputs import FrameResult
+from vntoolkit.pipeline.outputs import FrameResult, write_frame
 from vntoolkit.pipeline.request import Request
-from vntoolkit.pipeline.smoothing import smoothed_frames
 from vntoolkit.pipeline.threads import WriteBehind, read_ahead, side_by_side
 
 _WAITING = 1  # frames that lie between one thread and the next
@@ -58,8 +57,7 @@ class FrameBlockProcessor:
         if options.ties_depth or known.materials:
             at = known.reference_frame
             with contextlib.suppress(VntError):  # where it is met as a frame, it is reported
-                capture = self._footage.capture
-                frame = next(smoothed_frames(capture, range(at, at + 1), options.smoothing))
+                frame = next(self._frames(range(at, at + 1)))
                 self._processor.set_reference(
                     self._carried, frame, mattes.of(frame), ties_depth=options.ties_depth
                 )
@@ -71,7 +69,7 @@ class FrameBlockProcessor:
         frame's files are in place.
         """
         self._carried.reset()
-        frames = smoothed_frames(self._footage.capture, block, self._options.smoothing)
+        frames = self._frames(block)
         written: list[FrameEntry] = []
 
         def write(done: _FrameAtWork) -> None:
@@ -97,42 +95,49 @@ class FrameBlockProcessor:
                     yield written.pop(0)
         yield from written
 
+    def _frames(self, block: range) -> Iterator[EncodedFrame]:
+        capture, sameness = self._footage.capture, self._options.smoothing
+        if not sameness > 0:
+            return capture.encoded_frames(block.start, block.stop, block.step)
+        from vntoolkit.pipeline.smoothing import smoothed_frames
+
+        return smoothed_frames(capture, block, sameness)
+
+    # The steps of a frame, each in its own thread; frames come to each in order.
+
     def _with_light(self, frame: EncodedFrame) -> _FrameAtWork:
-        mattes = self._footage.mattes
-
-        def prepared(begun: _FrameAtWork) -> _FrameAtWork:
+        mattes, work = self._footage.mattes, _FrameAtWork(frame=frame)
+        with self._tried(work):
             matte = mattes.of(frame) if mattes.changes else None
-            return replace(begun, prepared=self._processor.prepared(frame, matte, self._carried))
+            work.prepared = self._processor.prepared(frame, matte, self._carried)
+        return work
 
-        return self._tried(prepared, _FrameAtWork(frame=frame))
+    def _with_normals(self, work: _FrameAtWork) -> _FrameAtWork:
+        if work.prepared is not None:
+            with self._tried(work):
+                work.result = self._processor.normals(work.prepared)
+            work.prepared = None
+        return work
 
-    def _with_normals(self, begun: _FrameAtWork) -> _FrameAtWork:
-        prepared = begun.prepared
-        if prepared is None:
-            return begun
-        return self._tried(
-            lambda to: replace(to, prepared=None, result=self._processor.normals(prepared)), begun
-        )
+    def _with_surface(self, work: _FrameAtWork) -> _FrameAtWork:
+        if work.result is not None:
+            with self._tried(work):
+                result = self._processor.with_depth(work.result, self._carried)
+                work.result = self._processor.with_mesh(result, work.frame)
+        return work
 
-    def _with_surface(self, begun: _FrameAtWork) -> _FrameAtWork:
-        result = begun.result
-        if result is None:
-            return begun
-        return self._tried(
-            lambda to: replace(to, result=self._processor.with_surface(result, to.frame, self._carried)),
-            begun,
-        )
-
-    def _tried(self, work: Callable[[_FrameAtWork], _FrameAtWork], before: _FrameAtWork) -> _FrameAtWork:
+    @contextlib.contextmanager
+    def _tried(self, work: _FrameAtWork) -> Iterator[None]:
+        """Count the seconds that a step takes, and let what it raises stop the run or leave the frame out."""
         started = time.perf_counter()
         try:
-            done = work(before)
+            yield
         except VntError as error:
             if self._options.on_error is OnError.STOP and not isinstance(error, NoSubject):
                 raise
-            nothing = isinstance(error, NoSubject)
-            done = replace(before, prepared=None, result=None, failure=str(error), shows_nothing=nothing)
-        return replace(done, seconds=before.seconds + time.perf_counter() - started)
+            work.result, work.failure = None, str(error)
+            work.shows_nothing = isinstance(error, NoSubject)
+        work.seconds += time.perf_counter() - started
 
     def _written(self, done: _FrameAtWork) -> FrameEntry:
         started = time.perf_counter()
@@ -143,11 +148,11 @@ class FrameBlockProcessor:
                 failure=done.failure,
                 shows_nothing=done.shows_nothing,
             )
-        self._request.folder.write(done.result)
+        write_frame(self._request.folder, done.result)
         return record_of(done.result, done.seconds + time.perf_counter() - started)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(kw_only=True, eq=False)
 class _FrameAtWork:
     """What a frame became so far, None for what failed; the seconds spent on it; and why it failed.
 

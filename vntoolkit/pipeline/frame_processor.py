@@ -151,9 +151,10 @@ class FrameProcessor:
         from the frame before; None for a frame alone. Raises `NoSubject` where it has no usable pixel.
         """
         carried = carried or Carried()
-        prepared = self.prepared(frame, matte, carried)
-        result = self.normals(prepared)
-        return self.with_surface(result, frame, carried)
+        linear = self.prepared(frame, matte, carried)
+        result = self.normals(linear)
+        result = self.with_depth(result, carried)
+        return self.with_mesh(result, frame)
 
     def set_reference(
         self, carried: Carried, frame: EncodedFrame, matte: Mask | None = None, *, ties_depth: bool = True
@@ -321,23 +322,25 @@ class FrameProcessor:
 
     # Normals → depth → mesh. Frames come in order.
 
-    def with_surface(self, result: FrameResult, frame: EncodedFrame, carried: Carried) -> FrameResult:
-        """Return the result with depth and mesh, as far as the options say.
+    # Another thread may work on them while this one finds the next frame's normals.
 
-        Another thread may work on it while this one finds the next frame's normals.
-        """
+    def with_depth(self, result: FrameResult, carried: Carried) -> FrameResult:
+        """Return the result with depth, and of a gel with what touches it, if the options say so."""
         if self._options.to is Product.NORMALS:
             return result
         depth_map, contact = self._depth(result, carried), None
         if self._gel is not None:
             depth_map, contact = self._gel.contact(depth_map, self.camera)
-        result = replace(result, depth_map=depth_map, contact=contact)
-        if self._options.to is not Product.MESH:
+        return replace(result, depth_map=depth_map, contact=contact)
+
+    def with_mesh(self, result: FrameResult, frame: EncodedFrame) -> FrameResult:
+        """Return the result with a mesh, if the options say so."""
+        if self._options.to is not Product.MESH or result.depth_map is None:
             return result
         from vntoolkit.meshing.surface import mesh_from_depth
 
         mesh = mesh_from_depth(
-            depth_map,
+            result.depth_map,
             self.camera,
             rgb=self._displayed(frame, result.materials),
             normal_map=result.normal_map,

@@ -3,7 +3,7 @@
 import logging
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -21,7 +21,7 @@ from vntoolkit.io.files import read_text
 from vntoolkit.io.footage.captures import Capture, open_capture
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.footage.sequence import natural_key
-from vntoolkit.io.maps_and_meshes.label_images import read_mask
+from vntoolkit.io.maps_and_meshes.masks import read_mask
 from vntoolkit.io.maps_and_meshes.stored_normals import (
     SUFFIXES,
     StoredNormals,
@@ -31,40 +31,28 @@ from vntoolkit.io.maps_and_meshes.stored_normals import (
 from vntoolkit.io.results import manifest as manifests
 from vntoolkit.io.results.folder import begin_run, write_lock
 from vntoolkit.io.results.frame_log import FrameEntry, FrameLog
+from vntoolkit.io.results.manifest import ReconstructionFolder
+from vntoolkit.io.results.reconstruction import (
+    RECONSTRUCTION,
+    entry_of_files,
+    hashed,
+    library_versions,
+    write_manifest,
+)
 from vntoolkit.io.rigs import entry_from_rig, read_rig
 from vntoolkit.meshing.surface import mesh_from_depth
 from vntoolkit.options.depth import IntegrationOptions, MeshOptions
 from vntoolkit.options.export import NormalConvention
+from vntoolkit.options.normal_maps import IntegrateArguments
 from vntoolkit.options.reconstruction import Product
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline.options import option_values
-from vntoolkit.pipeline.outputs import FrameResult, ReconstructionFolder
+from vntoolkit.pipeline.outputs import FrameResult, write_frame
 
 logger = logging.getLogger(__name__)
 _MOST_BACKWARD = 0.25  # of the normals: more is no noise at the outline, but other axes
 _OF_DILIGENT = ("normals.exr", "Normal_gt.mat", "Normal_est.mat", "normal.png", "normal_map.png")
-
-
-@dataclass(frozen=True, kw_only=True)
-class IntegrateJob:
-    """Normal maps to integrate, and the folder of the results.
-
-    source: a map, a folder of maps or of DiLiGenT's kind, or a video. camera: rig.json, or a text file of the
-    nine numbers of K; focal_px: instead of it; without both, orthographic. convention: None to find it.
-    """
-
-    source: str
-    folder: ReconstructionFolder
-    mask: Path | None = None
-    camera: Path | None = None
-    focal_px: float | None = None
-    convention: NormalConvention | None = None
-    distance_m: float | None = None
-    to: Product = Product.MESH
-    frames: FrameRange = field(default_factory=FrameRange)
-    integration: IntegrationOptions = field(default_factory=IntegrationOptions)
-    meshing: MeshOptions = field(default_factory=MeshOptions)
 
 
 Reader = Callable[[Mask | None], StoredNormals]
@@ -140,19 +128,20 @@ def _video_source(capture: Capture, path: Path) -> NormalSource:
 
 
 def integrate_normals(
-    job: IntegrateJob,
+    asked: IntegrateArguments,
     *,
-    overwrite: bool = False,
     on_start: Callable[[int, int], None] = lambda total, done: None,
     on_frame: Callable[[FrameEntry], None] = lambda entry: None,
 ) -> Path:
     """Integrate the chosen maps one at a time, and write the folder that every later verb reads."""
-    source = open_normals(job.source)
-    numbers = tuple(job.frames.numbers(source.count))
-    require_some(np.ones(len(numbers), np.bool_), f"{job.source}: frames {job.frames.to_text()}")
-    mask_file = job.mask or source.mask
+    source = open_normals(str(asked.source))
+    frames = FrameRange.from_text(asked.frames or "::")
+    numbers = tuple(frames.numbers(source.count))
+    require_some(np.ones(len(numbers), np.bool_), f"{asked.source}: frames {frames.to_text()}")
+    mask_file = asked.mask or source.mask
     mask = None if mask_file is None else read_mask(mask_file)
-    root, log = job.folder.root, FrameLog(job.folder.root)
+    root = Path(asked.out)
+    folder, log = ReconstructionFolder(root=root), FrameLog(root)
     with write_lock(root):
         integrator: _FrameIntegrator | None = None
         on_start(len(numbers), 0)
@@ -160,11 +149,11 @@ def integrate_normals(
             started = time.perf_counter()
             stored = read(mask)
             if integrator is None:
-                integrator = _begun(job, source, stored, mask_file)
-                manifest = _manifest(job, source, integrator.rig, mask_file)
-                begin_run(root, manifests.RECONSTRUCTION, manifest, overwrite=overwrite)
+                integrator = _begun(asked, source, stored, mask_file)
+                manifest = _manifest(asked, source, integrator.rig, mask_file)
+                begin_run(root, RECONSTRUCTION, manifest, overwrite=asked.overwrite)
             result = integrator.frame(number, stored)
-            job.folder.write(result)
+            write_frame(folder, result)
             entry = FrameEntry(
                 number=number,
                 seconds=time.perf_counter() - started,
@@ -173,17 +162,17 @@ def integrate_normals(
             log.append(entry)
             on_frame(entry)
         log.close()
-        manifests.write_manifest(root, manifest.model_copy(update={"finished": manifests.now_utc()}))
+        write_manifest(root, manifest.model_copy(update={"finished": manifests.now_utc()}))
     return root
 
 
 class _FrameIntegrator:
     """From vectors of a file to depth and a mesh, all frames by one camera and one convention."""
 
-    def __init__(self, job: IntegrateJob, camera: Camera, convention: NormalConvention) -> None:
-        self._job, self._camera = job, camera
+    def __init__(self, asked: IntegrateArguments, camera: Camera, convention: NormalConvention) -> None:
+        self._asked, self._camera = asked, camera
         self._signs = np.array(convention.signs, np.float32)
-        self._integrator = DepthIntegrator(camera, job.integration)
+        self._integrator = DepthIntegrator(camera, asked.part(IntegrationOptions))
         self._anchor: DepthAnchor | None = None
         # a picture of normals is what three lamps along the axes would make: n = 2 value − 1
         half = 0.5 * np.array(convention.signs)
@@ -198,15 +187,15 @@ class _FrameIntegrator:
         depth_map = self._anchor.align(depth_map, self._integrator.parts)
         if normal_map.error_deg is not None:
             depth_map = with_expected_depth_error(depth_map, normal_map, self._camera)
-        if depth_map.unit is LengthUnit.FREE and self._job.distance_m is not None:
-            scaled = depth_map.depth * self._job.distance_m
+        if depth_map.unit is LengthUnit.FREE and self._asked.distance is not None:
+            scaled = depth_map.depth * self._asked.distance
             depth_map = replace(depth_map, depth=scaled, unit=LengthUnit.METRE)
         result = FrameResult(number=number, normal_map=normal_map, clipped_share=0.0, depth_map=depth_map)
-        if self._job.to is not Product.MESH:
+        if self._asked.to is not Product.MESH:
             return result
         rgb = np.asarray(0.5 + 0.5 * stored.vectors, np.float32)
         mesh = mesh_from_depth(
-            depth_map, self._camera, rgb=rgb, normal_map=normal_map, options=self._job.meshing
+            depth_map, self._camera, rgb=rgb, normal_map=normal_map, options=self._asked.part(MeshOptions)
         )
         return replace(result, mesh=mesh)
 
@@ -232,35 +221,35 @@ class _FrameIntegrator:
 
 
 def _begun(
-    job: IntegrateJob, source: NormalSource, stored: StoredNormals, mask_file: Path | None
+    asked: IntegrateArguments, source: NormalSource, stored: StoredNormals, mask_file: Path | None
 ) -> _FrameIntegrator:
     """Settle camera and convention on the first map, and say what was found."""
     for note in stored.notes:
-        logger.warning("%s: %s", job.source, note)
-    if mask_file is not None and job.mask is None:
-        logger.warning("%s: masked by %s beside it", job.source, mask_file.name)
-    convention = job.convention or stored.convention
+        logger.warning("%s: %s", asked.source, note)
+    if mask_file is not None and asked.mask is None:
+        logger.warning("%s: masked by %s beside it", asked.source, mask_file.name)
+    convention = asked.convention or stored.convention
     if convention is None:
         convention, why = likeliest_convention(stored.vectors, stored.mask)
-        logger.warning("%s: read as %s (%s); --convention decides", job.source, convention.value, why)
-    return _FrameIntegrator(job, _camera_of(job, source, stored.mask.shape), convention)
+        logger.warning("%s: read as %s (%s); --convention decides", asked.source, convention.value, why)
+    return _FrameIntegrator(asked, _camera_of(asked, source, stored.mask.shape), convention)
 
 
-def _camera_of(job: IntegrateJob, source: NormalSource, shape: tuple[int, ...]) -> Camera:
+def _camera_of(asked: IntegrateArguments, source: NormalSource, shape: tuple[int, ...]) -> Camera:
     height, width = shape
-    if job.focal_px is not None:
-        if job.camera is not None:
+    if asked.focal_px is not None:
+        if asked.camera is not None:
             raise BadInput("camera: give --camera or --focal-px, not both")
-        return Camera.pinhole(width=width, height=height, focal_px=job.focal_px)
-    given = job.camera or source.camera
+        return Camera.pinhole(width=width, height=height, focal_px=asked.focal_px)
+    given = asked.camera or source.camera
     if given is None:
         logger.warning(
-            "%s: taken for orthographic; give --focal-px or --camera where it is perspective", job.source
+            "%s: taken for orthographic; give --focal-px or --camera where it is perspective", asked.source
         )
         return Camera.orthographic(width=width, height=height)
     if given.suffix.lower() == ".json":
         rig = read_rig(given)
-        rig.require_size(width, height, job.source)
+        rig.require_size(width, height, str(asked.source))
         return rig.camera
     return Camera(model=CameraModel.PINHOLE, width=width, height=height, matrix=read_camera_matrix(given))
 
@@ -277,24 +266,25 @@ def read_camera_matrix(path: Path) -> "np.ndarray[tuple[int, ...], np.dtype[np.f
 
 
 def _manifest(
-    job: IntegrateJob, source: NormalSource, rig: Rig, mask_file: Path | None
+    asked: IntegrateArguments, source: NormalSource, rig: Rig, mask_file: Path | None
 ) -> manifests.Manifest:
-    written = ["normals", "depth", *(["mesh"] if job.to is Product.MESH else [])]
-    options = option_values(job.integration, "integration.") | option_values(job.meshing, "meshing.")
+    written = ["normals", "depth", *(["mesh"] if asked.to is Product.MESH else [])]
+    options = option_values(asked.part(IntegrationOptions), "integration.")
+    options |= option_values(asked.part(MeshOptions), "meshing.")
     return manifests.Manifest(
         input=manifests.InputEntry(
-            source=job.source,
-            files=manifests.hashed(source.files),
+            source=str(asked.source),
+            files=hashed(source.files),
             width=rig.camera.width,
             height=rig.camera.height,
             frame_count=source.count,
             frame_rate_hz=source.frame_rate_hz,
         ),
-        extra_files={} if mask_file is None else {"mask": manifests.entry_of_files(mask_file, (mask_file,))},
+        extra_files={} if mask_file is None else {"mask": entry_of_files(mask_file, (mask_file,))},
         rig=entry_from_rig(rig),
-        options=options | {"distance_m": job.distance_m},
-        frames=job.frames.to_text(),
+        options=options | {"distance_m": asked.distance},
+        frames=FrameRange.from_text(asked.frames or "::").to_text(),
         outputs=written,
-        versions=manifests.library_versions(),
+        versions=library_versions(),
         started=manifests.now_utc(),
     )

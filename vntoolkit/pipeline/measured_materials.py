@@ -100,8 +100,8 @@ def _better_than_grey(found: list[Material], searched: SearchedFrames, count: in
             return each
     if count == 1:
         logger.warning(
-            "materials: another hue than the rig's describes the subject no better than what gloss and light "
-            "between folds may do; the rig's material is taken; %s", REMEDY,
+            "materials: another colour explains the subject no better than gloss and light between folds do; "
+            "the rig's material is taken; %s", REMEDY,
         )  # fmt: skip
     return []
 

@@ -5,10 +5,9 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from vntoolkit.errors import BadInput
 from vntoolkit.io.atomic import write_text
-from vntoolkit.io.maps_and_meshes.label_images import read_mask
-from vntoolkit.pipeline.opened_result import OpenedResult, open_result
+from vntoolkit.io.maps_and_meshes.masks import read_mask
+from vntoolkit.pipeline.opened_result import OpenedResult, read_result
 from vntoolkit.tactile.pose import ObjectPose, Touched, TrackedPose
 
 _COLUMNS = (
@@ -18,9 +17,7 @@ _COLUMNS = (
 
 def write_object_poses(folder: Path, target: Path) -> list[TrackedPose]:
     """Write object.csv into `target`: a line a frame, its place and turn since the first of its contact."""
-    result = open_result(folder, says_missing=False)
-    if result.rig.gel is None:
-        raise BadInput("--object: expected the reconstruction of a tactile gel")
+    result = read_result(folder, says_missing=False)
     tracker = ObjectPose(result.camera)
     poses = {n: tracker(touched) for n in result.frames_to_track if (touched := _touched(result, n))}
     write_text(target / "object.csv", "\n".join([_COLUMNS, *map(_row, poses, poses.values())]) + "\n")

@@ -13,29 +13,28 @@ from vntoolkit.arrays import ByteArray, VisibilityLabels
 from vntoolkit.errors import BadCapture, BadInput, VntError
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
-from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.io.footage.frame_range import FrameRange
-from vntoolkit.io.maps_and_meshes.label_images import read_labels, read_materials
 from vntoolkit.io.maps_and_meshes.maps import read_depth_map, read_normal_map
-from vntoolkit.io.maps_and_meshes.meshes import read_mesh
-from vntoolkit.io.results.folder import numbers_on_disk
 from vntoolkit.io.results.frame_log import FrameEntry, FrameLog
 from vntoolkit.io.results.manifest import (
     FRAME_FILES,
     FindingEntry,
     Manifest,
+    ReconstructionFolder,
     missing_files,
     numbers_of_ranges,
     read_manifest,
     result_digest,
     rig_of_result,
 )
+from vntoolkit.io.results.numbered_files import numbers_on_disk
+from vntoolkit.options.base import File
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import Transfer, TransferCurve, encoded_from_linear
-from vntoolkit.pipeline.outputs import ReconstructionFolder
 
 if TYPE_CHECKING:
+    from vntoolkit.geometry.mesh import Mesh
     from vntoolkit.io.footage.captures import Capture
     from vntoolkit.pipeline.tracked_folder import Tracks
 
@@ -113,14 +112,20 @@ class OpenedResult:
 
     def labels(self, number: int) -> VisibilityLabels | None:
         """Read a frame's visibility labels."""
+        from vntoolkit.io.maps_and_meshes.label_images import read_labels
+
         return self._read_map("shadows", number, read_labels)
 
     def materials(self, number: int) -> ByteArray | None:
         """Read the number of the material of each pixel; None where the subject is of the rig's alone."""
+        from vntoolkit.io.maps_and_meshes.label_images import read_materials
+
         return self._read_map("materials", number, read_materials)
 
-    def mesh(self, number: int) -> Mesh | None:
+    def mesh(self, number: int) -> "Mesh | None":
         """Read a frame's own mesh, before registration."""
+        from vntoolkit.io.maps_and_meshes.meshes import read_mesh
+
         path = self.folder.file("mesh", number)
         return read_mesh(path) if path.exists() else None
 
@@ -225,29 +230,23 @@ class OpenedResult:
         return self.numbers
 
 
-def read_result(folder: Path | str) -> OpenedResult:
-    """Open a folder that `reconstruct` wrote: `.normals(3)`, `.depth(3)`, `.mesh(3)`, `.findings`, `.frames`.
-
-    Raises `BadInput` for a folder of another kind.
-    """
-    return open_result(Path(folder))
-
-
-def open_result(
-    root: Path,
+def read_result(
+    folder: File,
     *,
-    frames: FrameRange | None = None,
+    frames: str | None = None,
     footage: str = "",
     background: Path | None = None,
     says_missing: bool = True,
 ) -> OpenedResult:
-    """Open a folder that `reconstruct` wrote; frames: only those of them. Raises `BadInput`.
+    """Open a folder that `reconstruct` wrote: `.normals(3)`, `.depth(3)`, `.mesh(3)`, `.findings`, `.frames`.
 
-    Says which frames are recorded as done while their files are gone. says_missing: False where that was
-    said before.
+    frames: only those of them, a:b:c. Raises `BadInput` for a folder of another kind. Says which frames are
+    recorded as done while their files are gone. says_missing: False where that was said before.
     """
+    root = Path(folder)
     manifest = read_manifest(root)
-    wanted = (frames or FrameRange()).numbers(manifest.input.frame_count)
+    asked = FrameRange.from_text(frames or "::")
+    wanted = asked.numbers(manifest.input.frame_count)
     if says_missing:
         for line in missing_files(root, manifest, wanted):
             logger.warning("%s: incomplete: %s", root, line)
@@ -258,7 +257,7 @@ def open_result(
         held = (
             f"it holds {len(present)}, from {present[0]} to {present[-1]}" if present else "it holds no frame"
         )
-        raise BadInput(f"{root}: holds none of the frames {(frames or FrameRange()).to_text()}; {held}")
+        raise BadInput(f"{root}: holds none of the frames {asked.to_text()}; {held}")
     return OpenedResult(
         folder=ReconstructionFolder(root=root),
         manifest=manifest,

@@ -1,7 +1,7 @@
 """Photographs under one white lamp each to normals, in a folder as DiLiGenT's and `integrate` reads."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,49 +11,45 @@ from vntoolkit.diagnosis.outline import warn_of_flipped_axes
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.io.atomic import atomic_path
-from vntoolkit.io.footage.images import read_image, write_png
+from vntoolkit.io.footage.image_writing import write_png
+from vntoolkit.io.footage.images import read_image
 from vntoolkit.io.footage.sequence import find_capture_files
 from vntoolkit.io.light_files import KnownLights, read_lights
-from vntoolkit.io.maps_and_meshes.label_images import read_mask, write_mask
 from vntoolkit.io.maps_and_meshes.maps import write_normal_map
+from vntoolkit.io.maps_and_meshes.masks import read_mask, write_mask
 from vntoolkit.normals.photometric_stereo import StereoResult, solve_photometric_stereo
+from vntoolkit.options.normal_maps import PhotometricStereoArguments
 from vntoolkit.photometry.transfer import Transfer, linear_from_encoded
 
 _FEWEST_VALID = 0.05  # of the subject: fewer have a normal only where lamps and photographs do not match
 _NINE_OF_TEN = 2.146  # standard deviations of a direction, in two dimensions
 
 
-@dataclass(frozen=True, kw_only=True)
-class StereoJob:
-    """folder: photographs, one a lamp. lights: a text file, or None where the folder is DiLiGenT's."""
-
-    folder: Path
-    out: Path
-    lights: Path | None = None
-    mask: Path | None = None
-    transfer: Transfer | None = None
-
-
-def photometric_stereo(job: StereoJob, on_image: Callable[[int], None] = lambda count: None) -> NormalMap:
+def photometric_stereo(
+    asked: PhotometricStereoArguments, on_image: Callable[[int], None] = lambda count: None
+) -> NormalMap:
     """Compute normals with their expected errors, and write normals, mask and albedo."""
-    if job.lights is None and not (job.folder / "light_directions.txt").exists():
+    folder = Path(asked.folder)
+    if asked.lights is None and not (folder / "light_directions.txt").exists():
         raise BadInput(
-            f"{job.folder}: expected DiLiGenT's light_directions.txt in it; give --lights for other folders"
+            f"{folder}: expected DiLiGenT's light_directions.txt in it; give --lights for other folders"
         )
-    lights = read_lights(job.lights or job.folder)
+    lights = read_lights(asked.lights or folder)
     if np.mean(lights.directions[:, 2] > 0) > 0.5:
         raise BadInput(
             f"{lights.files[0]}: expected lamps as x right, y up, z towards the viewer, got z < 0 in most: "
             "multiply them by 1 1 -1, or by 1 -1 -1 where y points down too"
         )
-    mask_file = job.mask or _mask_beside(job.folder)
+    beside = folder / "mask.png"
+    mask_file = asked.mask or (beside if beside.exists() else None)
     mask = None if mask_file is None else read_mask(mask_file)
-    stack = _stack_of(job, lights, on_image)
+    curve = None if asked.transfer is None else Transfer.from_text(asked.transfer)
+    stack = _stack_of(folder, lights, curve, on_image)
     result = solve_photometric_stereo(stack, lights.directions, mask)
     normal_map = replace(result.normal_map, error_deg=expected_error_deg(stack, lights.directions, result))
     _require_valid(normal_map, mask, lights.files[0])
     warn_of_flipped_axes(lights.files[0], normal_map)
-    _write(job.out, normal_map, result.albedo)
+    _write(Path(asked.out), normal_map, result.albedo)
     return normal_map
 
 
@@ -84,16 +80,14 @@ def expected_error_deg(images: FloatArray, lights: Points, result: StereoResult)
     return error
 
 
-def _mask_beside(folder: Path) -> Path | None:
-    return folder / "mask.png" if (folder / "mask.png").exists() else None
-
-
-def _stack_of(job: StereoJob, lights: KnownLights, on_image: Callable[[int], None]) -> Array:
+def _stack_of(
+    folder: Path, lights: KnownLights, curve: Transfer | None, on_image: Callable[[int], None]
+) -> Array:
     """Return grey images (k, h, w), linear, each divided by its lamp's intensity."""
-    files = lights.images or find_capture_files(job.folder).files
+    files = lights.images or find_capture_files(folder).files
     if len(files) != len(lights.directions):
         raise BadInput(
-            f"{job.folder}: holds {len(files)} photographs, {lights.files[0]} {len(lights.directions)} "
+            f"{folder}: holds {len(files)} photographs, {lights.files[0]} {len(lights.directions)} "
             "lamps; expected one photograph a lamp, in the order of their names"
         )
     images = []
@@ -101,8 +95,8 @@ def _stack_of(job: StereoJob, lights: KnownLights, on_image: Callable[[int], Non
         samples = read_image(path)
         full = 1.0 if samples.dtype == np.float32 else np.iinfo(samples.dtype).max
         values: FloatArray = samples / np.float32(full)
-        if job.transfer is not None:
-            values = linear_from_encoded(values, job.transfer)
+        if curve is not None:
+            values = linear_from_encoded(values, curve)
         if lights.intensities is not None:
             values = values / lights.intensities[number].astype(np.float32)
         images.append(np.asarray(values.mean(axis=2), np.float32))

@@ -11,19 +11,25 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vntoolkit.diagnosis.empty_frames import finding_from_empty_frames
 from vntoolkit.diagnosis.finding import judge
 from vntoolkit.errors import BadCapture, BadInput
 from vntoolkit.io.atomic import remove_leftovers, require_apart, write_text
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.footage.mattes import require_mattes
 from vntoolkit.io.footage.sequence import text_of_names
-from vntoolkit.io.maps_and_meshes.label_images import write_mask
 from vntoolkit.io.maps_and_meshes.maps import read_normal_map
 from vntoolkit.io.results import manifest as manifests
-from vntoolkit.io.results.folder import begin_run, numbers_in_words, require_same_request, write_lock
+from vntoolkit.io.results.folder import begin_run, require_same_request, write_lock
 from vntoolkit.io.results.frame_log import FrameEntry, FrameLog
 from vntoolkit.io.results.manifest import FindingEntry, Known, Manifest
+from vntoolkit.io.results.numbered_files import numbers_in_words
+from vntoolkit.io.results.reconstruction import (
+    RECONSTRUCTION,
+    entry_of_files,
+    hashed,
+    library_versions,
+    write_manifest,
+)
 from vntoolkit.io.rigs import entry_from_rig
 from vntoolkit.options.footage import Gaps
 from vntoolkit.pipeline.frame_blocks import Block, begin_blocks
@@ -156,7 +162,7 @@ def _begun(request: Request, footage: Footage, frames: FrameRange, overwrite: bo
     """
     root, count = request.folder.root, footage.capture.info.frame_count
     manifest = manifest_of_request(request, footage, frames)
-    goes_on = require_same_request(root, manifests.RECONSTRUCTION, manifest, overwrite=overwrite)
+    goes_on = require_same_request(root, RECONSTRUCTION, manifest, overwrite=overwrite)
     earlier = manifests.read_manifest(root).known if goes_on else None
     covered = _covered(earlier, frames, count)
     if earlier is not None and covered == earlier.frames:
@@ -173,11 +179,11 @@ def _begun(request: Request, footage: Footage, frames: FrameRange, overwrite: bo
     if earlier is not None and known.shapes() != earlier.shapes():
         again = set(log.done())
         logger.warning(
-            "more frames are asked for than before (%s), and among them lamps, materials or blur are found "
-            "to be others: %s from before are made again", ", ".join(earlier.frames), numbers_in_words(again),
+            "with more frames than before (%s), other lamps, materials or blur are found: %s from before are "
+            "made again", ", ".join(earlier.frames), numbers_in_words(again),
         )  # fmt: skip
     manifest = manifest.model_copy(update={"known": known, "outputs": request.folders_with(known)})
-    begin_run(root, manifests.RECONSTRUCTION, manifest, overwrite=overwrite or bool(again))
+    begin_run(root, RECONSTRUCTION, manifest, overwrite=overwrite or bool(again))
     numbers = tuple(sorted(again.union(frames.numbers(count))))
     return _Run(
         request=request,
@@ -319,13 +325,15 @@ def _ended(
         if entry.failure and not entry.shows_nothing
     ]
     if empty := [entry.number for entry in of_run if entry.shows_nothing]:
+        from vntoolkit.diagnosis.empty_frames import finding_from_empty_frames
+
         own.append(finding_from_empty_frames(empty, len(of_run)))
     judge(own)
     findings = [*entries_of(own), *findings]
     if summary.loss:
         findings.append(FindingEntry(check="cut-off", level="warning", text=summary.loss))
     ended = {"finished": manifests.now_utc(), "timings": timings, "error_deg": error_deg}
-    manifests.write_manifest(root, run.manifest.model_copy(update=ended | {"findings": findings}))
+    write_manifest(root, run.manifest.model_copy(update=ended | {"findings": findings}))
     return summary
 
 
@@ -342,6 +350,8 @@ def _backdrop(run: _Run, done: Sequence[FrameEntry]) -> "Backdrop | None":
         return None
     backdrop = backdrop_in(read_normal_map(request.folder.file("normals", worst)))
     if backdrop is not None:
+        from vntoolkit.io.maps_and_meshes.masks import write_mask
+
         write_mask(request.folder.root / MASK_NAME, backdrop.subject)
     return backdrop
 
@@ -361,13 +371,13 @@ def manifest_of_request(request: Request, footage: Footage, frames: FrameRange) 
     info, extra = footage.capture.info, {}
     declared = info.promised_frame_count
     if request.mask is not None:
-        extra["mask"] = manifests.entry_of_files(request.mask, footage.mattes.files)
+        extra["mask"] = entry_of_files(request.mask, footage.mattes.files)
     if request.background is not None:
-        extra["background"] = manifests.entry_of_files(request.background, (request.background,))
+        extra["background"] = entry_of_files(request.background, (request.background,))
     return Manifest(
         input=manifests.InputEntry(
             source=request.source,
-            files=manifests.hashed(info.files),
+            files=hashed(info.files),
             width=info.width,
             height=info.height,
             frame_count=info.frame_count,
@@ -380,6 +390,6 @@ def manifest_of_request(request: Request, footage: Footage, frames: FrameRange) 
         rig=entry_from_rig(request.rig),
         options=request.shaping_options(),
         frames=frames.to_text(),
-        versions=manifests.library_versions(),
+        versions=library_versions(),
         started=manifests.now_utc(),
     )

@@ -17,16 +17,16 @@ from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.results.frame_log import FrameEntry
 from vntoolkit.native import keep_freed_memory, limit_threads
 from vntoolkit.options.footage import ReadingLimits
-from vntoolkit.options.tracking import TrackingOptions
+from vntoolkit.options.tracking import TrackArguments, TrackingOptions
 from vntoolkit.pipeline.checkerboard import write_checkerboard
 from vntoolkit.pipeline.cluster import connected, result_of
 from vntoolkit.pipeline.reconstruct import ReconstructionSummary, reconstruct
 from vntoolkit.pipeline.request import Request
 from vntoolkit.pipeline.texture import write_texture
-from vntoolkit.pipeline.track import TrackJob, TrackSummary, track
+from vntoolkit.pipeline.track import TrackSummary, track
 
 Result = Callable[[], TrackSummary]  # waits for a sequence that is being tracked
-Submit = Callable[[TrackJob, ReadingLimits, bool], Result]  # the bool: overwrite
+Submit = Callable[[TrackArguments], Result]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,8 +99,10 @@ def run_session(
             if tracking is None:
                 outcomes.append(CaptureOutcome(name=name, reconstruction=done))
             else:
-                sequence = TrackJob(folder=done.folder.absolute(), options=tracking)
-                waiting.append((done, name, submit(sequence, job.limits, overwrite)))
+                sequence = TrackArguments(
+                    done.folder.absolute(), **vars(tracking), **vars(job.limits), overwrite=overwrite
+                )
+                waiting.append((done, name, submit(sequence)))
         outcomes += [_tracked(*sequence) for sequence in waiting]
     order = list(captures)
     return sorted(outcomes, key=lambda outcome: order.index(outcome.name))
@@ -117,13 +119,13 @@ def _tracked(done: ReconstructionSummary, name: str, result: Result) -> CaptureO
 def _tracker(scheduler: str | None, workers: int) -> Iterator[tuple[str | None, Submit]]:
     """Yield the scheduler's address, None without one, and what begins to track a sequence there or here."""
     if scheduler is None:
-        yield None, lambda *asked: lambda: _track(*asked)
+        yield None, lambda asked: lambda: _track(asked)
         return
     with connected(scheduler, workers) as client:
         futures: list[Any] = []
 
-        def submit(*asked: Any) -> Result:
-            futures.append(client.submit(_track_alone, *asked, pure=False))
+        def submit(asked: TrackArguments) -> Result:
+            futures.append(client.submit(_track_alone, asked, pure=False))
             return lambda future=futures[-1]: result_of(future, "it")  # type: ignore[misc]
 
         try:
@@ -132,16 +134,16 @@ def _tracker(scheduler: str | None, workers: int) -> Iterator[tuple[str | None, 
             client.cancel(futures, force=True)
 
 
-def _track_alone(job: TrackJob, limits: ReadingLimits, overwrite: bool) -> TrackSummary:
+def _track_alone(asked: TrackArguments) -> TrackSummary:
     """Run on the cluster: track a sequence with one thread."""
     limit_threads(1)
     keep_freed_memory()
-    return _track(job, limits, overwrite)
+    return _track(asked)
 
 
-def _track(job: TrackJob, limits: ReadingLimits, overwrite: bool) -> TrackSummary:
-    with limited_to(limits):
-        done = track(job, overwrite=overwrite)
-        write_checkerboard(job.folder, job.target)
-        write_texture(job.folder, job.target)
+def _track(asked: TrackArguments) -> TrackSummary:
+    with limited_to(asked.part(ReadingLimits)):
+        done = track(asked)
+        write_checkerboard(Path(asked.folder), asked.target)
+        write_texture(Path(asked.folder), asked.target)
     return done

@@ -23,13 +23,16 @@ from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.io.atomic import require_apart, write_text
 from vntoolkit.io.files import source_file
 from vntoolkit.io.footage.frame_range import FrameRange, sampled
-from vntoolkit.io.footage.images import read_image, resized_image, write_png
+from vntoolkit.io.footage.image_writing import resized_image, write_png
+from vntoolkit.io.footage.images import read_image
 from vntoolkit.io.footage.video import write_video
 from vntoolkit.io.maps_and_meshes.arrays import map_npy
 from vntoolkit.io.maps_and_meshes.exr import ExrCompression
-from vntoolkit.io.maps_and_meshes.label_images import read_labels, write_labels, write_mask
+from vntoolkit.io.maps_and_meshes.label_images import read_labels, write_labels
 from vntoolkit.io.maps_and_meshes.maps import read_normal_map, write_depth_map, write_flow, write_normal_map
-from vntoolkit.io.results.folder import FolderKind, begin_run, numbers_on_disk, remove_numbered, write_lock
+from vntoolkit.io.maps_and_meshes.masks import write_mask
+from vntoolkit.io.results.folder import FolderKind, begin_run, write_lock
+from vntoolkit.io.results.numbered_files import numbers_on_disk, remove_numbered
 from vntoolkit.io.results.seams import write_seams
 from vntoolkit.io.results.sequences import SEQUENCE_FILES, MeshSequenceWriter
 from vntoolkit.io.rigs import write_rig

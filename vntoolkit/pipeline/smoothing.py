@@ -15,14 +15,11 @@ _FULL = 65535
 
 
 def smoothed_frames(capture: Capture, block: range, sameness: float) -> Iterator[EncodedFrame]:
-    """Yield a block's frames; with sameness > 0, each blended with the captured frames before and after it.
+    """Yield a block's frames, each blended with the captured frames before and after it.
 
     The neighbours are those in the capture, not in the block: results do not depend on how frames are shared
     out. The first and the last frame of the capture have one neighbour; frames of floats are not blended.
     """
-    if not sameness > 0:
-        yield from capture.encoded_frames(block.start, block.stop, block.step)
-        return
     read: dict[int, EncodedFrame] = {}
     there = set(capture.present)
     for number in block:

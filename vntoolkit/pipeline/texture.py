@@ -19,13 +19,13 @@ from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.mesh import MeshSequence, face_normals, vertex_normals
 from vntoolkit.io.atomic import require_writable_folder, write_text
 from vntoolkit.io.footage.frame_range import sampled
-from vntoolkit.io.footage.images import write_png
+from vntoolkit.io.footage.image_writing import write_png
 from vntoolkit.io.maps_and_meshes.texture import SurfaceTexture
 from vntoolkit.native import njit
 from vntoolkit.photometry.frame import count_lit
 from vntoolkit.photometry.response import scaled_normals_from_rgb
 from vntoolkit.photometry.transfer import Transfer, TransferCurve, encoded_from_linear
-from vntoolkit.pipeline.opened_result import OpenedResult, open_result
+from vntoolkit.pipeline.opened_result import OpenedResult, read_result
 from vntoolkit.pipeline.tracked_folder import read_tracks
 from vntoolkit.shadows.albedo import fill_smoothly
 from vntoolkit.tracking.slopes import sample_image
@@ -61,7 +61,7 @@ def write_texture(
     said.
     """
     target = track_folder or folder / "track"
-    result = open_result(folder, footage=footage, background=background, says_missing=False)
+    result = read_result(folder, footage=footage, background=background, says_missing=False)
     tracks = read_tracks(target)
     sequence, numbers = tracks.sequence, tracks.numbers
     at = numbers.index(tracks.template)

@@ -9,10 +9,8 @@ import numpy as np
 
 from vntoolkit.arrays import Colours
 from vntoolkit.geometry.mesh import Mesh
-from vntoolkit.io.footage.images import read_image
-from vntoolkit.io.maps_and_meshes.meshes import read_mesh
 from vntoolkit.io.maps_and_meshes.texture import SurfaceTexture
-from vntoolkit.pipeline.outputs import ReconstructionFolder
+from vntoolkit.io.results.manifest import ReconstructionFolder
 
 if TYPE_CHECKING:
     from vntoolkit.pipeline.tracked_folder import Tracks
@@ -50,6 +48,7 @@ def with_captured_colours(tracks: "Tracks", texture: SurfaceTexture | None) -> M
     own = ReconstructionFolder(root=tracks.folder.parent).file("mesh", tracks.template)
     if template.colours is not None or vertices is None or not own.exists():
         return template
+    from vntoolkit.io.maps_and_meshes.meshes import read_mesh
     from vntoolkit.pipeline.tracked_folder import colours_at
 
     mesh = read_mesh(own)
@@ -60,6 +59,7 @@ def colours_from_texture(texture: SurfaceTexture | None, mesh: Mesh) -> Colours 
     """Return (n, 3), the colour of each vertex as the albedo has it; None without one."""
     if texture is None or texture.albedo is None or mesh.uv is None:
         return None
+    from vntoolkit.io.footage.images import read_image
     from vntoolkit.tracking.slopes import sample_image
 
     picture = read_image(texture.albedo)

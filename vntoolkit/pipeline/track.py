@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vntoolkit.arrays import Array, MaterialLabels, Normals, Points, Points2, VisibilityLabels
-from vntoolkit.checks import require_positive
 from vntoolkit.diagnosis.finding import judge
 from vntoolkit.diagnosis.track_checks import findings_from_tracks
 from vntoolkit.errors import BadInput, BadMesh, VntError
@@ -20,12 +19,13 @@ from vntoolkit.geometry.mesh import MeshSequence
 from vntoolkit.io.atomic import atomic_path
 from vntoolkit.io.maps_and_meshes.arrays import read_npz
 from vntoolkit.io.results.folder import begin_run, read_lock, require_same_request, write_lock
+from vntoolkit.io.results.seams import read_seams
 from vntoolkit.io.results.sequences import MeshSequenceWriter, read_mesh_sequence
 from vntoolkit.io.rigs import entry_from_camera
-from vntoolkit.options.tracking import LOST_PX, Tracker, TrackingOptions
+from vntoolkit.options.tracking import TrackArguments, Tracker, TrackingOptions
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
-from vntoolkit.pipeline.opened_result import OpenedResult, open_result
+from vntoolkit.pipeline.opened_result import OpenedResult, read_result
 from vntoolkit.pipeline.options import option_values
 from vntoolkit.pipeline.tracked_folder import MEMORY_NAME, TRACKS, TRACKS_VERSION, remove_backwards
 from vntoolkit.tracking.paint import Paint, paint_of_frame
@@ -43,34 +43,6 @@ _LOGGER = logging.getLogger(__name__)
 _MEMORY_EVERY = 16  # frames that a run killed on the way does again, at most
 
 PaintReader = Callable[[int, NormalMap], Array]  # (h, w): of a membrane bytes, else `Paint`
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class TrackJob:
-    """What to track and how.
-
-    folder: written by `reconstruct`. template: number of the template frame, None for the best one, or with
-    seams the first. seams: polylines on the template image. out: None for folder/track. lost_px: a vertex is
-    called lost where its expected error is above this. footage, background: as for `open_result`; where the
-    footage is not at hand, relief and shape alone are tracked.
-    """
-
-    folder: Path
-    options: TrackingOptions
-    template: int | None = None
-    seams: Sequence[Points2] = ()
-    out: Path | None = None
-    lost_px: float = LOST_PX
-    footage: str = ""
-    background: Path | None = None
-
-    def __post_init__(self) -> None:
-        require_positive(self.lost_px, "expected error from which a vertex is lost, in pixels")
-
-    @property
-    def target(self) -> Path:
-        """The folder to write."""
-        return self.out or self.folder / "track"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,13 +63,12 @@ class TrackSummary:
 
 
 def track(
-    job: TrackJob,
+    asked: TrackArguments,
     *,
-    overwrite: bool = False,
     on_start: Callable[[int, int], None] = lambda total, done: None,
     on_frame: Callable[[], None] = lambda: None,
 ) -> TrackSummary:
-    """Track the template through all frames into `job.target`; go on where an earlier run stopped.
+    """Track the template through all frames into `asked.target`; go on where an earlier run stopped.
 
     The template is tracked backwards to the first frame, then forwards to the last. A frame without files
     holds the vertices where they were, with an infinite expected error; tracking goes on with the next frame
@@ -105,31 +76,34 @@ def track(
     not there and for a target that holds something else, before anything there is touched; `CannotWrite`
     while another run is at work in one of the folders.
     """
-    source = open_result(job.folder, footage=job.footage, background=job.background)
+    folder = Path(asked.folder)
+    source = read_result(folder, footage=asked.footage, background=asked.background)
+    seams = () if asked.seams is None else read_seams(asked.seams)
+    if asked.object and source.rig.gel is None:
+        raise BadInput("--object: expected the reconstruction of a tactile gel")
     numbers = source.frames_to_track
     there = [n for n in numbers if has_maps(source, n)]
-    template = job.template
+    template = asked.template
     if template is None:  # seams were drawn on a frame that is known before
         from vntoolkit.pipeline.best_frame import best_frame
 
-        template = there[0] if job.seams or source.rig.gel else best_frame(source, there)
+        template = there[0] if seams or source.rig.gel else best_frame(source, there)
     if template not in there:
         raise BadInput(
-            f"--template {template}: that frame is not in {job.folder}; "
-            f"it holds {numbers[0]} to {numbers[-1]}"
+            f"--template {template}: that frame is not in {folder}; it holds {numbers[0]} to {numbers[-1]}"
         )
     membrane = None
-    if source.rig.gel is not None and job.options.method is Tracker.DEFAULT:
-        membrane = _membrane_of(job, source)
-    paint_of = _paint_reader(job, source, there[0], membrane)
-    record = _record(job, source, template) | {"paint": paint_of is not None}
-    with read_lock(job.folder), write_lock(job.target) as target:
-        require_same_request(target, TRACKS, record, overwrite=overwrite)
-        tracker = _tracker_of(job, source, template, paint_of, membrane)
-        begin_run(target, TRACKS, record, overwrite=overwrite)
+    if source.rig.gel is not None and asked.method is Tracker.DEFAULT:
+        membrane = _membrane_of(source)
+    paint_of = _paint_reader(asked, source, there[0], membrane)
+    record = _record(asked, seams, source, template) | {"paint": paint_of is not None}
+    with read_lock(folder), write_lock(asked.target) as target:
+        require_same_request(target, TRACKS, record, overwrite=asked.overwrite)
+        tracker = _tracker_of(asked, seams, source, template, paint_of, membrane)
+        begin_run(target, TRACKS, record, overwrite=asked.overwrite)
         resumed = _run(tracker, source, template, target, on_start, on_frame, paint_of)
     missing = tuple(n for n in numbers if n not in there)
-    visible, error_px = _visible_shares(job, [numbers.index(n) for n in there])
+    visible, error_px = _visible_shares(asked, [numbers.index(n) for n in there])
     judge(findings_from_tracks(visible, error_px, there if visible else ()))
     if missing:
         _LOGGER.warning(
@@ -146,7 +120,7 @@ def track(
     )
 
 
-def _membrane_of(job: TrackJob, source: OpenedResult) -> Membrane | None:
+def _membrane_of(source: OpenedResult) -> Membrane | None:
     """The membrane of a gel, whose material is followed; None, which is said, where the footage is gone."""
     try:
         background = source.capture.background
@@ -164,7 +138,8 @@ def _membrane_of(job: TrackJob, source: OpenedResult) -> Membrane | None:
 
 
 def _tracker_of(
-    job: TrackJob,
+    asked: TrackArguments,
+    seams: Sequence[Points2],
     source: OpenedResult,
     template: int,
     paint_of: PaintReader | None,
@@ -175,9 +150,9 @@ def _tracker_of(
     if membrane is not None and paint is not None:
         from vntoolkit.pipeline.membrane_tracker import MembraneTracker
 
-        return MembraneTracker(*maps, source.camera, membrane, paint, job.seams)
+        return MembraneTracker(*maps, source.camera, membrane, paint, seams)
     labels = source.labels(template)
-    return SurfaceTracker(*maps, source.camera, job.options, job.seams, labels, paint)
+    return SurfaceTracker(*maps, source.camera, asked.part(TrackingOptions), seams, labels, paint)
 
 
 def has_maps(result: OpenedResult, number: int) -> bool:
@@ -194,7 +169,7 @@ def maps_of(result: OpenedResult, number: int) -> tuple[NormalMap, DepthMap]:
 
 
 def _paint_reader(
-    job: TrackJob, result: OpenedResult, first: int, membrane: Membrane | None
+    asked: TrackArguments, result: OpenedResult, first: int, membrane: Membrane | None
 ) -> PaintReader | None:
     """Return what reads the paint of a frame from the footage; None where that is not at hand.
 
@@ -202,14 +177,14 @@ def _paint_reader(
     """
     if membrane is not None:
         return lambda number, _: membrane.picture(result.linear(number).rgb + membrane.untouched)
-    if job.options.method is not Tracker.DEFAULT or result.rig.gel is not None:  # a gel has one reflectance
+    if asked.method is not Tracker.DEFAULT or result.rig.gel is not None:  # a gel has one reflectance
         return None
     try:
         if result.lacks_background:
             raise BadInput("the reconstruction subtracted a background; give it as --background")
         result.linear(first)
     except VntError as problem:
-        _LOGGER.warning("paint is not tracked, relief and shape alone are: %s", problem)
+        _LOGGER.warning("tracking uses relief and shape, not the colours of the surface: %s", problem)
         return None
     reflectances = np.array([entry.reflectance for entry in result.manifest.known.materials]).reshape(-1, 3)
 
@@ -248,12 +223,14 @@ def paint_of_materials(
     return brightness[materials] * paint_of_frame(alike, normals, response, labels)
 
 
-def _visible_shares(job: TrackJob, rows: Sequence[int]) -> tuple[tuple[float, ...], tuple[float, ...]]:
+def _visible_shares(
+    asked: TrackArguments, rows: Sequence[int]
+) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Of these rows, the share of the vertices that are reported visible, and the median expected error."""
-    uncertainty = read_mesh_sequence(job.target).uncertainty_px
+    uncertainty = read_mesh_sequence(asked.target).uncertainty_px
     if uncertainty is None:
         return (), ()
-    shares = tuple(float((uncertainty[row] <= job.lost_px).mean()) for row in rows)
+    shares = tuple(float((uncertainty[row] <= asked.lost_px).mean()) for row in rows)
     return shares, tuple(float(np.median(uncertainty[row])) for row in rows)
 
 
@@ -367,14 +344,16 @@ def _tracked_before(folder: Path, tracker: AnyTracker) -> MeshSequence:
     return sequence
 
 
-def _record(job: TrackJob, source: OpenedResult, template: int) -> dict[str, Any]:
+def _record(
+    asked: TrackArguments, seams: Sequence[Points2], source: OpenedResult, template: int
+) -> dict[str, Any]:
     return {
         "version": TRACKS_VERSION,
         "result_sha256": source.digest,
         "template": template,
-        "options": option_values(job.options),
-        "lost_px": job.lost_px,
-        "seams": [np.asarray(seam).tolist() for seam in job.seams],
+        "options": option_values(asked.part(TrackingOptions)),
+        "lost_px": asked.lost_px,
+        "seams": [np.asarray(seam).tolist() for seam in seams],
         "frame_rate_hz": source.manifest.input.playing_rate_hz,
         "camera": entry_from_camera(source.rig.camera).model_dump(mode="json"),
         "frames": list(source.frames_to_track),

@@ -15,7 +15,8 @@ from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.mesh import Mesh, MeshSequence
 from vntoolkit.io.files import parse_json, read_text
-from vntoolkit.io.results.folder import FolderKind, flat, remove_if_empty
+from vntoolkit.io.results.folder import FolderKind, flat
+from vntoolkit.io.results.numbered_files import remove_if_empty
 from vntoolkit.io.results.sequences import SEQUENCE_FILES, read_mesh_sequence
 from vntoolkit.io.rigs import camera_from_content
 from vntoolkit.options.tracking import LOST_PX

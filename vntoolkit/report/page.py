@@ -16,7 +16,7 @@ from vntoolkit.arrays import ByteArray
 from vntoolkit.errors import BadInput
 from vntoolkit.io.atomic import write_text
 from vntoolkit.io.files import read_bytes
-from vntoolkit.io.footage.images import encoded_image
+from vntoolkit.io.footage.image_writing import encoded_image
 from vntoolkit.io.results.manifest import now_utc
 from vntoolkit.report.pictures import report_style
 
@@ -79,10 +79,11 @@ def graded(label: str, shown: str, value: float, bounds: tuple[float, float], re
 
 @dataclass(frozen=True, kw_only=True)
 class PageNotice:
-    """A line that must be seen. severity: note, warning or fatal, as doctor's."""
+    """A line that must be seen. severity: note, warning or fatal, as doctor's. more: opens beneath it."""
 
     severity: str
     text: str
+    more: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -15,11 +15,10 @@ from PIL import Image, ImageDraw, ImageFont
 
 from vntoolkit.arrays import ByteArray, FloatArray, LinearImage, Mask, VisibilityLabels
 from vntoolkit.errors import BadInput
-from vntoolkit.evaluation.angular_error import angular_error_map
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, NormalMap
 from vntoolkit.io.atomic import atomic_path
-from vntoolkit.io.footage.images import resized_image, write_png
+from vntoolkit.io.footage.image_writing import resized_image, write_png
 from vntoolkit.io.maps_and_meshes.label_images import MATERIAL_PALETTE, label_colours
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.pipeline.opened_result import OpenedResult
@@ -335,6 +334,8 @@ def row_of_frame(
     scale: ErrorScale,
 ) -> dict[str, Picture]:
     """Return the pictures (h, w, 3) by their headings, cut to the mask of the normals; errors in degrees."""
+    from vntoolkit.evaluation.angular_error import angular_error_map
+
     errors, compared = angular_error_map(normal_map, truth)
     pictures = {
         "captured": displayed(frame.rgb),

@@ -18,7 +18,8 @@ import numpy as np
 from vntoolkit.errors import BadInput
 from vntoolkit.io.atomic import write_text
 from vntoolkit.io.files import parse_json, read_text
-from vntoolkit.io.footage.images import read_image, resized_image
+from vntoolkit.io.footage.image_writing import resized_image
+from vntoolkit.io.footage.images import read_image
 from vntoolkit.report import page
 
 NUMBERS_NAME = "numbers.json"

@@ -12,14 +12,14 @@ from vntoolkit.arrays import FloatArray
 from vntoolkit.errors import VntError
 from vntoolkit.geometry.camera import Camera, CameraModel
 from vntoolkit.io.footage.frame_range import sampled
-from vntoolkit.io.footage.images import read_image, resized_image
-from vntoolkit.io.maps_and_meshes.label_images import LABEL_LEGEND
-from vntoolkit.io.maps_and_meshes.ply import read_ply_counts
+from vntoolkit.io.footage.image_writing import resized_image
 from vntoolkit.io.results.frame_log import FrameEntry
 from vntoolkit.io.results.manifest import InputEntry
 from vntoolkit.options.pages import ReportOptions
-from vntoolkit.pipeline.opened_result import OpenedResult, open_result
+from vntoolkit.photometry.frame import LABEL_LEGEND
+from vntoolkit.pipeline.opened_result import OpenedResult, read_result
 from vntoolkit.report import page, pictures
+from vntoolkit.shipped import guide_section
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -43,7 +43,7 @@ def write_report(
     """
     options = options or ReportOptions()
     out = folder / "report.html" if out is None else out
-    result = open_result(folder, footage=options.footage)
+    result = read_result(folder, footage=options.footage)
     middle = result.numbers[len(result.numbers) // 2]
     sections = [
         warnings_section(result),
@@ -71,15 +71,21 @@ def warnings_section(result: OpenedResult) -> page.PageSection:
     """Return what was found wrong, the gravest first, and what the footage's header says."""
     from vntoolkit.diagnosis.header_checks import findings_from_header
 
-    notices = [page.PageNotice(severity=each.level, text=each.line) for each in result.findings]
+    notices = [_notice(each.level, each.line, each.check) for each in result.findings]
     try:
         stated = findings_from_header(result.capture)
-        notices += [page.PageNotice(severity=each.level.value, text=each.text) for each in stated]
+        notices += [_notice(each.level.value, each.text, each.check) for each in stated]
     except VntError as error:
         text = f"the footage could not be looked at: {error}"
         notices.append(page.PageNotice(severity="note", text=text))
     paragraphs = () if notices else ("Nothing was found that would ruin normals.",)
     return page.PageSection(title="Warnings", paragraphs=paragraphs, notices=tuple(notices))
+
+
+def _notice(severity: str, line: str, check: str) -> page.PageNotice:
+    """Return a finding, with its section of the guide in the place of the reference to it."""
+    text = line.removesuffix(f", see docs/wrong.md#{check}")
+    return page.PageNotice(severity=severity, text=text, more=tuple(guide_section(check)))
 
 
 def content_of_report(result: OpenedResult) -> dict[str, Any]:
@@ -186,6 +192,8 @@ def mesh_counts(result: OpenedResult) -> dict[int, tuple[int, int]]:
     for number in result.numbers:
         path = result.folder.file("mesh", number)
         if path.exists():
+            from vntoolkit.io.maps_and_meshes.ply import read_ply_counts
+
             sizes = read_ply_counts(path)
             counts[number] = (sizes.get("vertex", 0), sizes.get("face", 0))
     return counts
@@ -296,6 +304,8 @@ def track_section(result: OpenedResult, track: Tracks) -> page.PageSection:
         figures.append(page.figure_from_plot(axes.figure, caption, wide=True))
     sheet = result.folder.root / "track" / "checkerboard.png"
     if sheet.exists():
+        from vntoolkit.io.footage.images import read_image
+
         pixels = resized_image(np.asarray(read_image(sheet), dtype=np.uint8), _SHEET_PX)
         caption = "A checkerboard painted on the template and carried along: it should look printed on."
         figures.append(page.figure_from_pixels(pixels, caption, wide=True))

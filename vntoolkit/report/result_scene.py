@@ -17,8 +17,8 @@ from vntoolkit.geometry.maps import DepthMap
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.io.atomic import write_text
 from vntoolkit.io.footage.frame_range import sampled
-from vntoolkit.io.footage.images import encoded_image, resized_image
-from vntoolkit.native import import_open3d
+from vntoolkit.io.footage.image_writing import encoded_image, resized_image
+from vntoolkit.libraries import import_open3d
 from vntoolkit.options.depth import MeshOptions
 from vntoolkit.options.pages import ScenePageOptions, ViewerOptions
 from vntoolkit.pipeline.opened_result import OpenedResult

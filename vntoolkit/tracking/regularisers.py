@@ -12,7 +12,7 @@ from scipy.sparse.linalg import splu
 
 from vntoolkit.arrays import FloatArray, Points
 from vntoolkit.geometry.mesh import Mesh, graph_laplacian
-from vntoolkit.native import import_open3d
+from vntoolkit.libraries import import_open3d
 from vntoolkit.tracking.template import TrackingTemplate
 
 _ARAP_ITERATIONS = 5

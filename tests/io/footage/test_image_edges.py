@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 import tifffile
 
-from vntoolkit import native
 from vntoolkit.diagnosis.outline import curl_share
 from vntoolkit.errors import BadCapture
 from vntoolkit.geometry.maps import NormalMap
+from vntoolkit.io import files
 from vntoolkit.io.footage.captures import open_capture
 from vntoolkit.io.footage.images import read_image, read_image_with_alpha
 from vntoolkit.io.footage.sequence import find_capture_files
 from vntoolkit.io.maps_and_meshes.exr import read_exr, write_exr
-from vntoolkit.io.maps_and_meshes.label_images import read_mask
 from vntoolkit.io.maps_and_meshes.maps import read_normal_map, write_normal_map
+from vntoolkit.io.maps_and_meshes.masks import read_mask
 
 
 @pytest.mark.parametrize("shape", [(1, 500), (500, 1), (1, 1)])
@@ -81,9 +81,9 @@ def test_a_process_without_descriptors_left_loses_none_to_quiet_reading(monkeypa
     def none_left(*arguments):
         raise OSError(errno.EMFILE, "Too many open files")
 
-    monkeypatch.setattr(native.os, "open", none_left)
+    monkeypatch.setattr(files.os, "open", none_left)
     before = next_descriptor()
-    with native.silenced_native_output():
+    with files.silenced_native_output():
         pass
     assert next_descriptor() == before
 

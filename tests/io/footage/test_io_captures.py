@@ -9,7 +9,7 @@ import pytest
 from vntoolkit.errors import BadCapture, BadInput
 from vntoolkit.io.footage.captures import CaptureOptions, open_capture
 from vntoolkit.io.footage.frame_range import FrameRange
-from vntoolkit.io.footage.images import write_png
+from vntoolkit.io.footage.image_writing import write_png
 from vntoolkit.io.footage.sequence import CaptureKind, find_capture_files
 from vntoolkit.io.footage.video import VideoReader, write_video
 from vntoolkit.io.maps_and_meshes.exr import write_exr

@@ -11,9 +11,11 @@ import tifffile
 
 from vntoolkit.errors import BadCapture, BadInput, CannotWrite
 from vntoolkit.io import atomic
-from vntoolkit.io.footage.images import read_image, write_png
+from vntoolkit.io.footage.image_writing import write_png
+from vntoolkit.io.footage.images import read_image
 from vntoolkit.io.maps_and_meshes.exr import ExrCompression, read_exr, write_exr
-from vntoolkit.io.maps_and_meshes.label_images import read_labels, read_mask, write_labels, write_mask
+from vntoolkit.io.maps_and_meshes.label_images import read_labels, write_labels
+from vntoolkit.io.maps_and_meshes.masks import read_mask, write_mask
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])

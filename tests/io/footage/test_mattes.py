@@ -11,7 +11,7 @@ from tests.pipeline.conftest import RESPONSE, SIZE, dome_normals, to_normals, wr
 from vntoolkit.__main__ import main
 from vntoolkit.errors import BadCapture, BadInput
 from vntoolkit.io.footage.captures import CaptureOptions, open_capture
-from vntoolkit.io.footage.images import write_png
+from vntoolkit.io.footage.image_writing import write_png
 from vntoolkit.io.footage.mattes import open_mattes
 from vntoolkit.io.footage.video import write_video
 from vntoolkit.io.maps_and_meshes.maps import read_normal_map

@@ -11,7 +11,7 @@ from tests.pipeline.conftest import SIZE, to_normals, write_dome_capture
 from vntoolkit.__main__ import main
 from vntoolkit.errors import BadCapture
 from vntoolkit.io.footage.captures import CaptureOptions, open_capture
-from vntoolkit.io.footage.images import write_png
+from vntoolkit.io.footage.image_writing import write_png
 from vntoolkit.io.footage.sequence import find_capture_files
 from vntoolkit.options.footage import Gaps
 

@@ -13,7 +13,7 @@ from tests.pipeline.conftest import dome_light, dome_normals, to_normals
 from vntoolkit.__main__ import main
 from vntoolkit.errors import BadCapture
 from vntoolkit.io.footage.captures import CaptureOptions, open_capture
-from vntoolkit.io.footage.images import write_png
+from vntoolkit.io.footage.image_writing import write_png
 from vntoolkit.io.footage.mosaics import rgb_from_mosaic
 from vntoolkit.options.footage import Bayer, Demosaic, SensorOptions
 
@@ -187,8 +187,8 @@ def test_a_mosaic_is_reconstructed_and_read_again_by_the_report(tmp_path):
     command = to_normals(tmp_path, tmp_path / "take")
     assert main(command) == 1  # grey
     assert main([*command, "--bayer", "rggb"]) == 0
-    from vntoolkit.pipeline.opened_result import open_result
+    from vntoolkit.pipeline.opened_result import read_result
 
-    shown = open_result(tmp_path / "out").linear(0).rgb
+    shown = read_result(tmp_path / "out").linear(0).rgb
     inside = mask & np.roll(mask, 3, 0) & np.roll(mask, -3, 0) & np.roll(mask, 3, 1) & np.roll(mask, -3, 1)
     assert np.abs(shown - light)[inside].max() < 0.02

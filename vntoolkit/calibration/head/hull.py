@@ -14,7 +14,7 @@ from vntoolkit.errors import BadCalibration
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.mesh import Mesh, isosurface, vertex_normals
 from vntoolkit.geometry.rigid import RigidTransform
-from vntoolkit.options.head import HullOptions
+from vntoolkit.options.head import HeadSteps
 
 _SHARE_OF_VIEWS = 3  # a point that fewer than one view in so many shows was never filmed: it is outside
 
@@ -65,13 +65,13 @@ class DistanceGrid:
         return ndimage.map_coordinates(self.values, places, order=1, mode="nearest")
 
 
-def fit_hull(views: Sequence[SilhouetteView], box: Box, options: HullOptions) -> DistanceGrid:
+def fit_hull(views: Sequence[SilhouetteView], box: Box, steps: HeadSteps) -> DistanceGrid:
     """Carve the box by all silhouettes: the least signed distance to the outline over the views.
 
     Distances in pixels become lengths at the point's own depth. Outside a view nothing is known and nothing
     is carved; the box closes the hull where no view does. Raises `BadCalibration` where nothing remains.
     """
-    cell = float(np.max(box.high - box.low)) / options.hull_cells
+    cell = float(np.max(box.high - box.low)) / steps.hull_cells
     low = box.low - cell
     counts = np.ceil((box.high - low) / cell).astype(int) + 2
     outlines = [signed_distance_px(view.mask) for view in views]

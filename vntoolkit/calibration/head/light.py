@@ -14,7 +14,7 @@ from vntoolkit.calibration.fit import Design, fit_by_msac, fit_quality, response
 from vntoolkit.calibration.head.samples import HeadRays, HeadSamples
 from vntoolkit.errors import BadCalibration
 from vntoolkit.options.calibration import ResponseModel
-from vntoolkit.options.head import LightOptions
+from vntoolkit.options.head import HeadSteps
 from vntoolkit.photometry.fit_quality import warn_of_weak_fit
 from vntoolkit.photometry.response import LightResponse, rgb_from_normals
 from vntoolkit.photometry.rig import FitQuality
@@ -45,32 +45,33 @@ class HeadLight:
 def fit_light(
     samples: HeadSamples,
     rays: HeadRays,
-    options: LightOptions,
+    steps: HeadSteps,
     rng: np.random.Generator,
+    model: ResponseModel = ResponseModel.LINEAR,
 ) -> HeadLight:
     """Fit M (and ambient a) to samples of skin.
 
     Raises `BadCalibration` where hardly any samples agree on one response.
     """
-    ambient = options.light_model is ResponseModel.AMBIENT
+    ambient = model is ResponseModel.AMBIENT
     pairs = Design.from_pairs(samples.normals_in_camera, samples.rgb, with_ambient=ambient)
     weight = _weights(samples.rgb)
     design = Design(rows=pairs.rows * weight, colours=pairs.colours * weight)
     shadowed = np.zeros(len(weight), np.bool_)
     for _ in range(_SHADOW_ROUNDS):
-        unknowns, inliers = _agreeing(design, ~shadowed, options, rng)
+        unknowns, inliers = _agreeing(design, ~shadowed, steps, rng)
         shadowed = _shadowed(samples, rays, response_from_unknowns(unknowns))
     inliers, albedo = inliers & ~shadowed, np.ones_like(samples.rgb)
     if not ambient:
-        unknowns, albedo, inliers = _with_albedo(samples, unknowns, ~shadowed, options.light_inlier)
+        unknowns, albedo, inliers = _with_albedo(samples, unknowns, ~shadowed, steps.light_inlier)
     response = response_from_unknowns(unknowns)
     return _judged(samples, response, inliers, shadowed, albedo)
 
 
-def light_of_response(samples: HeadSamples, response: LightResponse, options: LightOptions) -> HeadLight:
+def light_of_response(samples: HeadSamples, response: LightResponse, steps: HeadSteps) -> HeadLight:
     """Judge a response by samples of lit skin, their colours free of albedo."""
     off = rgb_from_normals(samples.normals_in_camera, response) - samples.rgb
-    inliers = np.linalg.norm(off * _weights(samples.rgb), axis=1) < options.light_inlier
+    inliers = np.linalg.norm(off * _weights(samples.rgb), axis=1) < steps.light_inlier
     shadowed, albedo = np.zeros(len(off), np.bool_), np.ones_like(samples.rgb)
     return _judged(samples, response, inliers, shadowed, albedo)
 
@@ -95,10 +96,10 @@ def _weights(rgb: Points) -> FloatArray:
 
 
 def _agreeing(
-    design: Design, usable: BoolArray, options: LightOptions, rng: np.random.Generator
+    design: Design, usable: BoolArray, steps: HeadSteps, rng: np.random.Generator
 ) -> tuple[FloatArray, BoolArray]:
     try:
-        unknowns, inliers = fit_by_msac(design, usable, options.light_draws, options.light_inlier, rng)
+        unknowns, inliers = fit_by_msac(design, usable, steps.light_draws, steps.light_inlier, rng)
         share = float(inliers.mean())
     except BadCalibration:  # no three samples determine a response
         share = 0.0

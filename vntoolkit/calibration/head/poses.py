@@ -16,12 +16,13 @@ from vntoolkit.errors import BadCalibration, BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.garment_fit import fit_similarity
 from vntoolkit.geometry.rigid import RigidTransform, Similarity
-from vntoolkit.options.head import LEAST_TRACKS, Features, PoseOptions
+from vntoolkit.options.head import Features, HeadSteps
 
 logger = logging.getLogger(__name__)
 _FULL_TURN_DEG = 90.0  # below it, M gets worse: on scanned heads 0.3 % at 130, 1.1 at 68, 1.4 to 3.7 at 43
 _LEAST_PLACED = 0.7  # of the frames
 _LARGEST_ERROR_PX = 0.9  # mean, after everything beyond 1 px was dropped: then what is left is chance
+_LEAST_TRACKS = 60
 _LEAST_KEPT = 0.3  # of the tracks drawn: fewer means that no rigid motion explains them
 
 
@@ -55,7 +56,7 @@ class HeadMotion:
 def solve_head_motion(
     tracks: Tracks,
     camera: Camera,
-    options: PoseOptions,
+    steps: HeadSteps,
     rng: np.random.Generator,
     *,
     refine_focal: bool = False,
@@ -70,7 +71,7 @@ def solve_head_motion(
     if not camera.is_perspective:
         raise BadInput("poses: the turn is solved with a perspective camera; give --camera or --focal-px")
     drawn = np.zeros(tracks.point_count, np.bool_)
-    drawn[rng.choice(tracks.point_count, min(options.pose_tracks, tracks.point_count), replace=False)] = True
+    drawn[rng.choice(tracks.point_count, min(steps.pose_tracks, tracks.point_count), replace=False)] = True
     kept = tracks.of_points(drawn)
     if features is Features.SIFT:
         poses, points, known = map_tracks(kept, camera, refine_focal=refine_focal)
@@ -79,10 +80,10 @@ def solve_head_motion(
     model = colmap.adjust_sparse_model(kept, camera, poses, points, known, refine_focal=refine_focal)
     _require_rigid(model, kept)
     motion = _head_motion(model, np.flatnonzero(drawn))
-    if motion.turn_deg < options.least_turn_deg:
+    if motion.turn_deg < steps.least_turn_deg:
         raise BadCalibration(
             f"poses: the head turns by only {motion.turn_deg:.0f} degrees in all, "
-            f"{options.least_turn_deg:.0f} are needed; film it turning all the way to both "
+            f"{steps.least_turn_deg:.0f} are needed; film it turning all the way to both "
             "sides (60 degrees each)"
         )
     if motion.turn_deg < _FULL_TURN_DEG:
@@ -112,7 +113,7 @@ def adjust_head_motion(
         refine_focal=refine_focal,
     )
     placed = np.array([pose is not None for pose in model.camera_from_head])
-    enough = len(model.point) >= max(LEAST_TRACKS, _LEAST_KEPT * len(motion.point))
+    enough = len(model.point) >= max(_LEAST_TRACKS, _LEAST_KEPT * len(motion.point))
     if not enough or placed.mean() < np.mean(~motion.interpolated):
         return motion, Similarity(scale=1.0, rigid=RigidTransform())
     adjusted = _head_motion(model, motion.point[track])
@@ -122,7 +123,7 @@ def adjust_head_motion(
 
 def _require_rigid(model: colmap.SparseModel, tracks: Tracks) -> None:
     placed = np.array([pose is not None for pose in model.camera_from_head])
-    if len(model.point) < max(LEAST_TRACKS, _LEAST_KEPT * tracks.point_count):
+    if len(model.point) < max(_LEAST_TRACKS, _LEAST_KEPT * tracks.point_count):
         raise BadCalibration(
             f"poses: only {len(model.point)} of {tracks.point_count} tracks move as one rigid head; keep the "
             "expression fixed, cover neck and shoulders in black, and film more sharply"

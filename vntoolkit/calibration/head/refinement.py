@@ -32,7 +32,7 @@ from vntoolkit.calibration.head.shape_noise import (
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.mesh import Mesh, vertex_normals
 from vntoolkit.geometry.rays import RayScene
-from vntoolkit.options.head import LightOptions
+from vntoolkit.options.head import HeadSteps
 from vntoolkit.photometry.response import LightResponse
 
 _ROUNDS, _PASSES = 6, 2  # colours are taken anew in so many: later, vertices hardly move
@@ -69,7 +69,7 @@ def refine_head(
     camera: Camera,
     frames: Callable[[], Iterable[LightFrame]],
     light: HeadLight,
-    options: LightOptions,
+    steps: HeadSteps,
     rng: np.random.Generator,
     on_progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> RefinedHead:
@@ -105,7 +105,7 @@ def refine_head(
     samples = patch_samples(fine, camera, colours, skin, PATCH_PX * pixel)
     return RefinedHead(
         mesh=replace(fine, colours=_skin_colour(skin, lit.response), error_deg=_expected_error_deg(skin)),
-        light=light_of_response(samples, lit.response, options),
+        light=light_of_response(samples, lit.response, steps),
         samples=samples,
         changes=tuple(changes),
         error_percent=100.0 * spread[cKDTree(surface.vertices).query(fine.vertices)[1]] / fine.diagonal,

@@ -12,7 +12,7 @@ from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.mesh import Mesh, vertex_normals
 from vntoolkit.geometry.rays import RayScene
 from vntoolkit.geometry.rigid import RigidTransform
-from vntoolkit.options.head import SampleOptions
+from vntoolkit.options.head import HeadSteps
 from vntoolkit.photometry.frame import LinearFrame
 
 _FEWEST_SAMPLES = 300
@@ -129,7 +129,7 @@ def sample_head(
     mesh: Mesh,
     camera: Camera,
     frames: Iterable[LightFrame],
-    options: SampleOptions,
+    steps: HeadSteps,
     rng: np.random.Generator,
 ) -> HeadSamples:
     """Take the colours of points of the mesh (head frame, with normals) in every frame that sees them.
@@ -137,7 +137,7 @@ def sample_head(
     Raises `BadCalibration` where almost no point is seen unclipped.
     """
     assert mesh.normals is not None
-    chosen = spread_over_orientations(mesh.normals, options.light_points, rng)
+    chosen = spread_over_orientations(mesh.normals, steps.light_points, rng)
     colours = skin_colours(mesh, camera, frames)
     frame, place = np.nonzero(colours.weight[:, chosen])
     if len(frame) < _FEWEST_SAMPLES:

@@ -12,8 +12,8 @@ from vntoolkit.calibration.head.stereo import OrientedPoints, stereo_points
 from vntoolkit.errors import BadCalibration
 from vntoolkit.geometry.mesh import Mesh, vertex_normals
 from vntoolkit.geometry.point_cloud import PointCloud
-from vntoolkit.native import import_open3d
-from vntoolkit.options.head import FusionOptions, StereoOptions
+from vntoolkit.libraries import import_open3d
+from vntoolkit.options.head import HeadSteps
 
 _LEAST_POINTS = 500
 
@@ -22,8 +22,7 @@ def fit_shape(
     views: Sequence[SilhouetteView],
     contrasts: Sequence[ByteArray],
     hull: DistanceGrid,
-    stereo: StereoOptions,
-    fusion: FusionOptions,
+    steps: HeadSteps,
     on_progress: Callable[[int, int], None] = lambda done, total: None,
     about: Mesh | None = None,
 ) -> Mesh:
@@ -32,42 +31,40 @@ def fit_shape(
     contrasts: (h, w) local contrast of every view, 8 bits. on_progress is told depth maps done and in all.
     Raises `BadCalibration` where hardly two views agree on a depth.
     """
-    references = spread_over_turn(views, stereo.references)
+    references = spread_over_turn(views, steps.references)
     mesh = mesh_of_grid(hull) if about is None else about
     maps = []
     for done, k in enumerate(references.tolist(), start=1):
-        maps.append(stereo_points(views, contrasts, mesh, k, stereo))
+        maps.append(stereo_points(views, contrasts, mesh, k, steps))
         on_progress(done, len(references))
-    return fuse_points(maps, mesh, hull, fusion)
+    return fuse_points(maps, mesh, hull, steps)
 
 
 # One closed mesh from the stereo points of many views and the hull behind them (kazhdan2013).
 
 
-def fuse_points(
-    maps: Sequence[OrientedPoints], hull: Mesh, grid: DistanceGrid, options: FusionOptions
-) -> Mesh:
+def fuse_points(maps: Sequence[OrientedPoints], hull: Mesh, grid: DistanceGrid, steps: HeadSteps) -> Mesh:
     """Fuse: points that other views confirm, the hull where there are none, screened Poisson over both.
 
     Points outside the hull are dropped: no silhouette allows them. Raises `BadCalibration` where
     hardly a point is confirmed.
     """
-    kept = confirmed_maps(maps, hull.diagonal, grid, options)
+    kept = confirmed_maps(maps, hull.diagonal, grid, steps)
     found = np.concatenate([each.points for each in kept])
     corrected = np.concatenate([each.on_hull for each in kept])
     distance, _ = cKDTree(corrected).query(hull.vertices, workers=1)
-    rest = distance > options.hull_gap * hull.diagonal
+    rest = distance > steps.hull_gap * hull.diagonal
     normals = vertex_normals(hull.vertices, hull.faces)
     rest &= normals.any(axis=1)  # vertices of slivers have none
     cloud = PointCloud(
         points=np.concatenate([found, hull.vertices[rest]]),
         normals=np.concatenate([*(each.normals for each in kept), normals[rest]]),
     )
-    return _poisson(cloud, options.fusion_depth)
+    return _poisson(cloud, steps.fusion_depth)
 
 
 def confirmed_maps(
-    maps: Sequence[OrientedPoints], diagonal: float, grid: DistanceGrid, options: FusionOptions
+    maps: Sequence[OrientedPoints], diagonal: float, grid: DistanceGrid, steps: HeadSteps
 ) -> list[OrientedPoints]:
     """Keep of every map the points inside the hull that lie close, along their normals, to enough others'.
 
@@ -81,14 +78,14 @@ def confirmed_maps(
             if j == k or tree is None or not len(each.points):
                 continue
             distance, nearest = tree.query(
-                each.points, distance_upper_bound=2.0 * options.agreement * diagonal, workers=1
+                each.points, distance_upper_bound=2.0 * steps.agreement * diagonal, workers=1
             )
             found = np.isfinite(distance)
             gap = np.full(len(votes), np.inf)
             step = maps[j].points[nearest[found]] - each.points[found]
             gap[found] = np.abs((step * each.normals[found]).sum(axis=1))
-            votes += gap < options.agreement * diagonal
-        kept.append(each.chosen((votes >= options.confirmations) & (grid.at(each.points) > -grid.cell)))
+            votes += gap < steps.agreement * diagonal
+        kept.append(each.chosen((votes >= steps.confirmations) & (grid.at(each.points) > -grid.cell)))
     count = sum(len(each.points) for each in kept)
     if count < _LEAST_POINTS:
         raise BadCalibration(

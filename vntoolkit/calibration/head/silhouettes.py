@@ -9,7 +9,6 @@ import numpy as np
 
 from vntoolkit.arrays import ByteArray, FloatArray, LinearImage, Mask
 from vntoolkit.errors import BadCalibration
-from vntoolkit.options.head import SilhouetteOptions
 
 logger = logging.getLogger(__name__)
 _SIGMAS = 6.0  # of the background's noise
@@ -49,12 +48,15 @@ class Silhouette:
     unrest: float = 0.0
 
 
-def find_silhouette(rgb: LinearImage, options: SilhouetteOptions) -> Silhouette:
-    """Return the largest region of linear rgb (h, w, 3) that stands out; an empty one where nothing does."""
+def find_silhouette(rgb: LinearImage, threshold: float | None = None) -> Silhouette:
+    """Return the largest region of linear rgb (h, w, 3) that stands out; an empty one where nothing does.
+
+    threshold: of grey, 0 to 1; None for the one that the image's border tells.
+    """
     grey = cv2.GaussianBlur(np.asarray(rgb, dtype=np.float32).mean(axis=2), (0, 0), 0.7)
     level, noise, found = _level_and_threshold(grey)
-    threshold = found if options.threshold is None else options.threshold
-    subject = max(float(np.percentile(grey, 99)), 1e-6) if options.threshold is None else np.inf
+    subject = max(float(np.percentile(grey, 99)), 1e-6) if threshold is None else np.inf
+    threshold = found if threshold is None else threshold
     backdrop, unrest = level / subject, noise / subject
     bright = (grey > threshold).astype(np.uint8)
     count, labels, stats, _ = cv2.connectedComponentsWithStats(bright, connectivity=4)

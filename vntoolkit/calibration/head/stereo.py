@@ -14,7 +14,7 @@ from vntoolkit.calibration.head.hull import SilhouetteView, neighbours_of
 from vntoolkit.calibration.head.silhouettes import box_of_mask
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.rays import RayScene, pixel_rays
-from vntoolkit.options.head import StereoOptions
+from vntoolkit.options.head import HeadSteps
 
 # What wide windows and smooth depths flatten is alike in all views. Noise is not, and averages out over them.
 _STEP_PX = 0.6  # that a point moves in the furthest neighbour from shell to shell
@@ -26,32 +26,32 @@ def stereo_points(
     contrasts: Sequence[ByteArray],
     hull: Mesh,
     reference: int,
-    options: StereoOptions,
+    steps: HeadSteps,
 ) -> "OrientedPoints":
     """Search the depth of one view along its rays about the hull; returns the points that correlate.
 
     contrasts: (h, w) local contrast of every view, 8 bits. reference: number of the view.
     """
     view = views[reference]
-    neighbours = neighbours_of(views, reference, options.neighbour_angles_deg)
+    neighbours = neighbours_of(views, reference, steps.neighbour_angles_deg)
     rows, columns = box_of_mask(view.mask)
     depth, facing = hull_depth(view, hull, rows, columns)
     typical = float(np.median(depth[depth > 0]))
-    shells = _shells(view, hull, options, typical)
+    shells = _shells(view, hull, steps, typical)
     searched = np.where(depth > 0, depth, np.float32(typical))  # beside the hull rays meet no plane at 0
-    scores = _scores(views, contrasts, reference, neighbours, (rows, columns), searched, shells, options)
+    scores = _scores(views, contrasts, reference, neighbours, (rows, columns), searched, shells, steps)
     offset, correlation = _best_shell(scores, shells)
     valid = (
         (depth > 0)
         & (facing > _LEAST_SLANT)
-        & (correlation > options.least_correlation)
+        & (correlation > steps.least_correlation)
         & np.isfinite(offset)
         & view.mask[rows, columns]
     )
     found = depth + np.where(valid, offset, 0.0)
     step = float(shells[1] - shells[0])
     window = (rows, columns)
-    return points_of_depth(view, depth, found, valid, correlation, window, step, options.smoothing_px)
+    return points_of_depth(view, depth, found, valid, correlation, window, step, steps.smoothing_px)
 
 
 def hull_depth(
@@ -67,11 +67,11 @@ def hull_depth(
     return hits.image(hits.distances, shape, 0.0), hits.image(cosine, shape, 0.0)
 
 
-def _shells(view: SilhouetteView, hull: Mesh, options: StereoOptions, depth: float) -> FloatArray:
+def _shells(view: SilhouetteView, hull: Mesh, steps: HeadSteps, depth: float) -> FloatArray:
     """Return the depths relative to the hull (s,), so close that a point moves `_STEP_PX` between two."""
-    furthest = np.sin(np.deg2rad(max(options.neighbour_angles_deg)))
+    furthest = np.sin(np.deg2rad(max(steps.neighbour_angles_deg)))
     step = _STEP_PX * depth / (view.camera.matrix[0, 0] * furthest)
-    before, behind = options.before * hull.diagonal, options.behind * hull.diagonal
+    before, behind = steps.before * hull.diagonal, steps.behind * hull.diagonal
     return np.arange(-np.ceil(before / step), np.ceil(behind / step) + 1).astype(np.float32) * np.float32(
         step
     )
@@ -85,12 +85,12 @@ def _scores(
     window: tuple[slice, slice],
     depth: FloatArray,
     shells: FloatArray,
-    options: StereoOptions,
+    steps: HeadSteps,
 ) -> FloatArray:
     """Return (s, h, w) the mean of the better half of the neighbours' correlations, −1 without any."""
     view = views[reference]
     own = contrasts[reference][window].astype(np.float32)
-    size = (options.stereo_window_px, options.stereo_window_px)
+    size = (steps.stereo_window_px, steps.stereo_window_px)
     statistics = _Statistics(own, size)
     pixels = view.camera.pixel_grid()[window]
     rays = view.camera.unproject(pixels, np.ones(pixels.shape[:2]))

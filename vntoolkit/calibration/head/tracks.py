@@ -8,7 +8,7 @@ import numpy as np
 
 from vntoolkit.arrays import BoolArray, ByteArray, IntArray, LinearImage, Mask, Points2, read_only
 from vntoolkit.errors import BadCalibration
-from vntoolkit.options.head import TrackOptions
+from vntoolkit.options.head import HeadSteps
 
 _CORNER_QUALITY = 0.003  # the weakest corner as a share of the strongest
 _THERE_AND_BACK_PX = 0.5  # a point that is followed to the next frame and back lands within this, or is lost
@@ -53,7 +53,7 @@ class Tracks:
 class TrackBuilder:
     """Follows points frame by frame; holds one frame's image and every observation."""
 
-    options: TrackOptions
+    steps: HeadSteps
     _previous: ByteArray | None = None
     _positions: Points2 = field(default_factory=lambda: np.zeros((0, 2), np.float32))
     _points: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))
@@ -93,15 +93,15 @@ class TrackBuilder:
 
     def _allowed(self, mask: Mask) -> ByteArray:
         """Erode the silhouette, where texture is seen at a slant and its border moves; edges count too."""
-        side = 2 * self.options.margin_px + 1
+        side = 2 * self.steps.margin_px + 1
         inner = cv2.copyMakeBorder(mask.astype(np.uint8), 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0)
         kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
         return np.asarray(cv2.erode(inner, kernel)[1:-1, 1:-1], dtype=np.uint8)
 
     def _follow(self, previous: ByteArray, image: ByteArray, allowed: ByteArray) -> None:
         start = self._positions.astype(np.float32).reshape(-1, 1, 2)
-        there, found = _flow(previous, image, start, self.options.window_px)
-        back, returned = _flow(image, previous, there, self.options.window_px)
+        there, found = _flow(previous, image, start, self.steps.window_px)
+        back, returned = _flow(image, previous, there, self.steps.window_px)
         there = there.reshape(-1, 2)
         gap = np.linalg.norm(back.reshape(-1, 2) - self._positions, axis=1)
         column, row = np.round(there).astype(int).T
@@ -112,14 +112,14 @@ class TrackBuilder:
         self._positions, self._points = there[kept], self._points[kept]
 
     def _seed(self, image: ByteArray, allowed: ByteArray) -> None:
-        room = self.options.corners - len(self._positions)
+        room = self.steps.corners - len(self._positions)
         if room <= 0:
             return
         free = allowed.copy()
         for u, v in np.round(self._positions).astype(int).tolist():
-            cv2.circle(free, (u, v), round(self.options.corner_spacing_px), 0, -1)
+            cv2.circle(free, (u, v), round(self.steps.corner_spacing_px), 0, -1)
         corners = cv2.goodFeaturesToTrack(
-            image, room, _CORNER_QUALITY, self.options.corner_spacing_px, mask=free
+            image, room, _CORNER_QUALITY, self.steps.corner_spacing_px, mask=free
         )
         if corners is None:
             return

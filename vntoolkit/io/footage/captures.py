@@ -2,21 +2,18 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vntoolkit.arrays import Array, LinearImage
+from vntoolkit.arrays import LinearImage
 from vntoolkit.checks import require_positive, require_shape
 from vntoolkit.display import Displayed, Facts, Picture
 from vntoolkit.errors import BadCapture, BadInput
 from vntoolkit.io.footage.decoding import EncodedFrame, YuvConversion, linear_frame_from_encoded
 from vntoolkit.io.footage.frame_range import FrameRange
-from vntoolkit.io.footage.images import ImageHeader, read_opaque_image
-from vntoolkit.io.footage.mosaics import is_raw, read_raw
-from vntoolkit.io.footage.sequence import CaptureFiles, CaptureKind, find_capture_files, text_of_names
+from vntoolkit.io.footage.sequence import CaptureKind, find_capture_files, text_of_names
 from vntoolkit.options.footage import Gaps, SensorOptions
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
@@ -170,7 +167,7 @@ class Capture(Displayed):
         """
         FrameRange(start=start, stop=stop, step=step).numbers(self.info.frame_count)
         if self._reader is None:
-            yield from self._images(start, stop, step)
+            yield from _frames_of_images(self.info, self.options, start, stop, step)
             return
         for number, values in self._reader.frames(start, stop, step):
             yield EncodedFrame(
@@ -186,27 +183,6 @@ class Capture(Displayed):
             return min(self.info.numbers, key=lambda there: abs(there - number))
         nearest = self._reader.index.nearest_key_frame(number)
         return nearest if abs(nearest - number) <= within else number
-
-    def _images(self, start: int, stop: int | None, step: int) -> Iterator[EncodedFrame]:
-        wanted = range(self.info.frame_count)[start:stop:step]
-        for number, path in zip(self.info.numbers, self.info.files, strict=True):
-            if number not in wanted:
-                continue
-            values, header = _read_image(path, self.options)
-            height, width = values.shape[:2]
-            if (width, height) != (self.info.width, self.info.height):
-                raise BadCapture(
-                    f"{path}: frame {number} is {width}×{height}, the first one {self.info.width}×"
-                    f"{self.info.height}: a capture has one size"
-                )
-            first, own = self.info.stated_transfer, "" if header is None else header.stated.transfer
-            if first and own and own != first:
-                raise BadCapture(
-                    f"{path}: frame {number} states the transfer curve {own}, the first one {first}: a "
-                    "capture has one curve"
-                )
-            bits = _bits(values, self.options, path)
-            yield EncodedFrame(values=values, bits=bits, number=number, name=str(path))
 
     def _read_background(self) -> LinearImage | None:
         background = self.options.background
@@ -254,7 +230,9 @@ def open_capture(source: Path | str, options: CaptureOptions | None = None) -> C
             f"{text_of_names(list(found.missing.values()))}; copy them too; `reconstruct` and `session` go "
             "on without them by --gaps skip, and the other frames keep their numbers"
         )
-    return Capture(_info_of_images(found, options), options, None, str(source))
+    from vntoolkit.io.footage.image_sequence import info_of_images
+
+    return Capture(info_of_images(found, options), options, None, str(source))
 
 
 def _video_reader(path: Path, options: CaptureOptions) -> "VideoReader":
@@ -272,6 +250,14 @@ def _video_reader(path: Path, options: CaptureOptions) -> "VideoReader":
         sensor=options.sensor,
         detail=detail,
     )
+
+
+def _frames_of_images(
+    info: CaptureInfo, options: CaptureOptions, start: int, stop: int | None, step: int
+) -> Iterator[EncodedFrame]:
+    from vntoolkit.io.footage.image_sequence import frames_of_images
+
+    return frames_of_images(info, options, start, stop, step)
 
 
 def _info_of_video(reader: "VideoReader", rate_hz: float | None) -> CaptureInfo:
@@ -313,64 +299,3 @@ def _stated_transfer(info: CaptureInfo, name: str) -> Transfer:
             "linear; save linear ones, or 16 bits"
         )
     return transfer
-
-
-def _read_image(path: Path, options: CaptureOptions) -> tuple[Array, ImageHeader | None]:
-    """Return pixels and header; None for that of a camera raw file, whose reader heeds it."""
-    limit, sensor = options.max_megapixels, options.sensor
-    if is_raw(path):
-        return read_raw(path, sensor.demosaic, max_megapixels=limit)[0], None
-    image = read_opaque_image(path, max_megapixels=limit, sensor=sensor)
-    return image.rgb, image.header
-
-
-def _info_of_images(found: CaptureFiles, options: CaptureOptions) -> CaptureInfo:
-    files = found.files
-    info = partial(
-        CaptureInfo,
-        kind=found.kind,
-        frame_count=found.numbers[-1] + 1,
-        frame_rate_hz=options.frame_rate_hz,
-        files=files,
-        promised_frame_count=found.numbers[-1] + 1,
-        numbers=found.numbers,
-        missing=found.missing,
-        left_out=found.left_out,
-        stated=found.stated,
-    )
-    if is_raw(files[0]):
-        _, raw = read_raw(files[0], options.sensor.demosaic, max_megapixels=options.max_megapixels)
-        return info(
-            width=raw.width,
-            height=raw.height,
-            pixel_format=f"{raw.kind}, saturation {raw.saturation}",
-            bits=16,
-            codec="raw",
-            chroma="Bayer",
-            stated_transfer="linear",
-            orientation=raw.orientation,
-        )
-    first, header = _read_image(files[0], options)
-    assert header is not None
-    grey = "Bayer" if options.sensor.bayer or header.bayer else "grey"
-    return info(
-        width=first.shape[1],
-        height=first.shape[0],
-        pixel_format=f"{header.format} {header.bits}-bit{' float' if header.floating else ''}",
-        bits=_bits(first, options, files[0]),
-        codec=header.format,
-        chroma=grey if header.channels < 3 else header.chroma,
-        stated_transfer=header.stated.transfer,
-        stated_focal_px=header.stated.focal_px,
-        orientation=header.stated.orientation.text,
-    )
-
-
-def _bits(values: Array, options: CaptureOptions, path: Path | str) -> int:
-    if values.dtype == np.float32:
-        return 32
-    stored = values.dtype.itemsize * 8
-    bits = options.sensor.bits
-    if bits is not None and bits > stored:
-        raise BadCapture(f"{path}: samples of {stored} bits cannot hold {bits}; give bits up to {stored}")
-    return bits or stored

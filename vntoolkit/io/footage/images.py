@@ -16,27 +16,25 @@ from typing import Any, BinaryIO
 import cv2
 import numpy as np
 
-from vntoolkit.arrays import Array, ByteArray, Float32Array, Mask
+from vntoolkit.arrays import Array, Float32Array, Mask
 from vntoolkit.errors import BadCapture, BadInput
-from vntoolkit.io.atomic import write_bytes
-from vntoolkit.io.files import opened, require_pixels
+from vntoolkit.io.files import opened, require_pixels, silenced_native_output
 from vntoolkit.io.footage import mosaics
+from vntoolkit.io.footage.colour_profiles import bt709_from, curve_of_profile
+from vntoolkit.io.footage.image_writing import in_other_order
 from vntoolkit.io.footage.orientation import UPRIGHT, Orientation
 from vntoolkit.io.footage.stated import (
-    IMAGE_SUFFIXES,
     TRANSFER_NAMES,
     Stated,
     aspect_of_density,
-    bt709_from,
-    curve_of_profile,
+    full_scale,
     require_heeded,
+    require_opaque,
 )
 from vntoolkit.io.maps_and_meshes import exr
 from vntoolkit.io.maps_and_meshes.exr import read_exr
-from vntoolkit.native import silenced_native_output
 from vntoolkit.options.footage import Bayer, SensorOptions
 
-SUFFIXES = (*IMAGE_SUFFIXES, *mosaics.RAW_SUFFIXES)
 _LONGEST_HEADER = 32 << 20  # bytes; colour profiles and previews stand before the size in some files
 _PIECE_BYTES = 1 << 20
 _SHORT_CHUNK = 64  # bytes
@@ -119,69 +117,6 @@ def read_image_with_alpha(
     return image.rgb, None if image.alpha is None else image.alpha >= full_scale(image.alpha) / 2
 
 
-def full_scale(samples: Array) -> float:
-    """Return the value of full scale of integer or float samples."""
-    return 1.0 if samples.dtype == np.float32 else float(np.iinfo(samples.dtype).max)
-
-
-def write_png(path: Path | str, pixels: Array, *, compression_level: int = 1) -> None:
-    """Write (h, w), (h, w, 3) RGB or (h, w, 4) RGBA, uint8 or uint16, atomically.
-
-    compression_level: 0 (fast, large) to 9.
-    """
-    if pixels.dtype not in (np.uint8, np.uint16):
-        raise BadInput(f"{path}: a PNG holds 8- or 16-bit integers, got {pixels.dtype}")
-    if pixels.ndim not in (2, 3) or pixels.size == 0 or (pixels.ndim == 3 and pixels.shape[2] not in (3, 4)):
-        raise BadInput(f"{path}: expected an image of (h, w), (h, w, 3) or (h, w, 4), got {pixels.shape}")
-    write_bytes(path, _encoded(pixels, ".png", [cv2.IMWRITE_PNG_COMPRESSION, compression_level], str(path)))
-
-
-def encoded_image(pixels: ByteArray, suffix: str = ".png", *, quality: int = 88) -> bytes:
-    """Return the bytes of an image file, `.png`, `.jpg` or `.webp`, of uint8 pixels.
-
-    pixels: (h, w), (h, w, 3) RGB or (h, w, 4) RGBA. quality: 0 to 100, of a JPEG or WebP.
-    """
-    flags = {
-        ".png": [cv2.IMWRITE_PNG_COMPRESSION, 9],
-        ".jpg": [cv2.IMWRITE_JPEG_QUALITY, quality],
-        ".webp": [cv2.IMWRITE_WEBP_QUALITY, quality],
-    }
-    if suffix not in flags or pixels.dtype != np.uint8:
-        raise BadInput(
-            f"image: expected 8 bits and one of {', '.join(flags)}, got {pixels.dtype}, '{suffix}'"
-        )
-    return _encoded(pixels, suffix, flags[suffix], "image")
-
-
-def _encoded(pixels: Array, suffix: str, flags: list[int], name: str) -> bytes:
-    """Return the bytes of an image file of grey, RGB or RGBA pixels; raise `BadInput`."""
-    try:
-        ok, content = cv2.imencode(suffix, _in_other_order(pixels), flags)
-    except cv2.error:  # of an empty image, or one larger than the format allows
-        ok = False
-    if not ok:
-        raise BadInput(f"{name}: OpenCV cannot encode an image of shape {pixels.shape} as {suffix}")
-    return bytes(content.tobytes())
-
-
-def _in_other_order(pixels: Array) -> Array:
-    """Return RGB or RGBA as OpenCV's BGR or BGRA, or these as those; fewer channels as they are."""
-    if pixels.ndim < 3 or pixels.shape[2] < 3:
-        return pixels
-    order = cv2.COLOR_RGB2BGR if pixels.shape[2] == 3 else cv2.COLOR_RGBA2BGRA
-    return np.asarray(cv2.cvtColor(np.ascontiguousarray(pixels), order))
-
-
-def resized_image(pixels: ByteArray, largest_px: int, *, smooth: bool = True) -> ByteArray:
-    """Return the picture shrunk so that no side exceeds `largest_px`; labels want smooth=False."""
-    factor = largest_px / max(pixels.shape[:2])
-    if factor >= 1:
-        return pixels
-    size = (max(1, round(pixels.shape[1] * factor)), max(1, round(pixels.shape[0] * factor)))
-    method = cv2.INTER_AREA if smooth else cv2.INTER_NEAREST
-    return np.asarray(cv2.resize(np.ascontiguousarray(pixels), size, interpolation=method), dtype=np.uint8)
-
-
 def decode_image(
     path: Path | str,
     *,
@@ -212,7 +147,7 @@ def decode_image(
         return DecodedImage(colours=turn.upright(rgb), alpha=None, header=header)
     if header.format != "TIFF":  # which OpenCV itself turns upright, and no other
         pixels = turn.upright(pixels)
-    pixels = np.atleast_3d(_in_other_order(pixels))
+    pixels = np.atleast_3d(in_other_order(pixels))
     if pixels.shape[2] in (2, 4):
         return DecodedImage(colours=pixels[..., :-1], alpha=pixels[..., -1], header=header)
     return DecodedImage(colours=pixels, alpha=None, header=header)
@@ -311,17 +246,6 @@ def _require_numbers(pixels: Array, path: Path | str, error: type[BadInput]) -> 
         )
 
 
-def require_opaque(alpha: Array, name: str, error: type[BadInput] = BadCapture) -> None:
-    """Raise `error` where an alpha channel lets the ground through: the colour there is undefined."""
-    see_through = int(np.count_nonzero(alpha < full_scale(alpha)))
-    if see_through:
-        bits = "floating-point" if alpha.dtype == np.float32 else f"{alpha.dtype.itemsize * 8}-bit"
-        raise error(
-            f"{name}: the {bits} alpha channel is not opaque at {see_through} pixels, and colour under it is "
-            "undefined; save without alpha and give the outline as --mask"
-        )
-
-
 @dataclass(frozen=True, kw_only=True)
 class ImageHeader:
     """How an image file stores its picture.
@@ -377,7 +301,7 @@ def header_of_stream(stream: BinaryIO, name: str, error: type[BadInput] = BadCap
     if size > 2 * raw + _LONGEST_HEADER:
         size_px = f"{header.width}×{header.height}"
         raise error(
-            f"{name}: {size / 1e6:.0f} MB are more than one {header.format} of {size_px} pixels takes"
+            f"{name}: is larger ({size / 1e6:.0f} MB) than one {header.format} of {size_px} pixels can be"
         )
     return header
 

@@ -21,7 +21,6 @@ from vntoolkit.io.footage.captures import (
 )
 from vntoolkit.io.footage.decoding import EncodedFrame, linear_frame_from_encoded
 from vntoolkit.io.footage.sequence import CaptureKind, find_capture_files, text_of_names
-from vntoolkit.io.maps_and_meshes.label_images import read_mask, read_matte
 from vntoolkit.options.footage import MatteOptions
 from vntoolkit.photometry.transfer import Transfer
 
@@ -110,6 +109,8 @@ def _from_files(capture: Capture, source: Path | str, level: float) -> Mattes:
     limit = capture.options.max_megapixels or reading_limits().max_megapixels
     found = find_capture_files(source)
     if found.kind is CaptureKind.IMAGE:
+        from vntoolkit.io.maps_and_meshes.masks import read_mask
+
         still = read_mask(found.files[0], size=size, max_megapixels=limit, level=level)
         return Mattes(still=still, files=found.files)
     if found.kind is CaptureKind.VIDEO:
@@ -123,6 +124,8 @@ def _from_files(capture: Capture, source: Path | str, level: float) -> Mattes:
     else:
         files, numbers = found.files, found.numbers
         by_number = dict(zip(numbers, files, strict=True))
+
+        from vntoolkit.io.maps_and_meshes.masks import read_matte
 
         def matte(place: int) -> Mask:
             return read_matte(by_number[place], max_megapixels=limit, level=level)

@@ -11,13 +11,9 @@ import numpy as np
 from vntoolkit.arrays import Array, ByteArray, Int64Array, UInt16Array
 from vntoolkit.errors import BadCapture, BadInput
 from vntoolkit.io.files import opened, require_pixels
+from vntoolkit.io.footage.stated import RAW_SUFFIXES
 from vntoolkit.options.footage import Bayer, Demosaic
 
-# Camera raw files that LibRaw reads.
-RAW_SUFFIXES = (
-    ".dng", ".cr2", ".cr3", ".crw", ".nef", ".nrw", ".arw", ".sr2", ".raf", ".orf", ".rw2", ".pef", ".srw",
-    ".3fr", ".fff", ".iiq", ".kdc", ".dcr", ".erf", ".mef", ".mos", ".mrw", ".rwl", ".x3f",
-)  # fmt: skip
 _FULL = 65535
 _CFA_PATTERN, _BLACK_REPEAT, _BLACK_LEVEL, _ACTIVE_AREA = 33422, 50713, 50714, 50829  # tags of DNG
 _TURNS = {3: "turned by 180°", 5: "turned by 270°", 6: "turned by 90°"}  # LibRaw's flip

@@ -13,8 +13,9 @@ import numpy as np
 
 from vntoolkit.errors import BadCapture
 from vntoolkit.io.files import require_file
-from vntoolkit.io.footage.images import SUFFIXES
+from vntoolkit.io.footage.stated import IMAGE_SUFFIXES, RAW_SUFFIXES
 
+_IMAGES = (*IMAGE_SUFFIXES, *RAW_SUFFIXES)
 _VIDEO_SUFFIXES = (".mkv", ".mp4", ".mov", ".avi", ".webm", ".mxf", ".m4v")
 _EXPECTED = "expected a video, an image, a folder of images, or a pattern such as frame_%04d.png"
 _PRINTF = re.compile(r"%(0?)(\d*)d")
@@ -78,7 +79,7 @@ def _find(text: str) -> CaptureFiles:
             raise BadCapture(f"{text}: no file matches this pattern; is the folder right?")
         return _sequence(found)
     require_file(path, BadCapture)
-    kind = CaptureKind.IMAGE if path.suffix.lower() in SUFFIXES else CaptureKind.VIDEO
+    kind = CaptureKind.IMAGE if path.suffix.lower() in _IMAGES else CaptureKind.VIDEO
     return CaptureFiles(kind=kind, files=(path,))
 
 
@@ -144,11 +145,11 @@ def natural_key(path: Path) -> tuple[tuple[int, int, str], ...]:
 def _in_folder(folder: Path) -> tuple[tuple[Path, ...], tuple[Path, ...]]:
     """Return the frames of a folder, and the images in it that are none."""
     there = sorted((path for path in folder.iterdir() if path.is_file()), key=natural_key)
-    files = [path for path in there if path.suffix.lower() in SUFFIXES and not path.name.startswith(".")]
+    files = [path for path in there if path.suffix.lower() in _IMAGES and not path.name.startswith(".")]
     videos = [path.name for path in there if path.suffix.lower() in _VIDEO_SUFFIXES]
     if not files:
         instead = f"name the video, {folder / videos[0]}" if videos else _EXPECTED
-        raise BadCapture(f"{folder}: holds no image ({', '.join(SUFFIXES[:9])}, …); {instead}")
+        raise BadCapture(f"{folder}: holds no image ({', '.join(_IMAGES[:9])}, …); {instead}")
     by_pattern: dict[str, list[Path]] = defaultdict(list)
     for path in files:
         by_pattern[pattern_of(path)].append(path)

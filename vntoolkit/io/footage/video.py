@@ -24,11 +24,9 @@ from vntoolkit.errors import BadCapture, CannotWrite
 from vntoolkit.io.atomic import atomic_path
 from vntoolkit.io.files import require_file, require_pixels
 from vntoolkit.io.footage import pixel_formats
-from vntoolkit.io.footage.images import require_opaque
 from vntoolkit.io.footage.luma_detail import LumaDetail
-from vntoolkit.io.footage.mosaics import rgb_from_mosaic
 from vntoolkit.io.footage.orientation import UPRIGHT, Orientation
-from vntoolkit.io.footage.stated import TRANSFER_NAMES, Stated, require_heeded
+from vntoolkit.io.footage.stated import TRANSFER_NAMES, Stated, require_heeded, require_opaque
 from vntoolkit.options.footage import Bayer, Demosaic, SensorOptions
 
 _HD_HEIGHT = 720
@@ -270,6 +268,8 @@ class VideoReader:
         self._require_progressive(frame.interlaced_frame)
         try:
             if self._bayer is not None:
+                from vntoolkit.io.footage.mosaics import rgb_from_mosaic
+
                 mosaic = pixel_formats.mosaic_from_video_frame(frame, self.pixel_format)
                 return self.stated.orientation.upright(rgb_from_mosaic(mosaic, self._bayer, self._demosaic))
             if self.pixel_format.has_alpha:

@@ -15,9 +15,8 @@ from vntoolkit.arrays import Array
 from vntoolkit.checks import require_shape
 from vntoolkit.errors import BadCapture, BadInput
 from vntoolkit.io.atomic import aligned_memory, write_large
-from vntoolkit.io.files import opened, require_pixels
+from vntoolkit.io.files import opened, require_pixels, silenced_native_output
 from vntoolkit.io.footage.stated import BT709, Stated, require_heeded
-from vntoolkit.native import silenced_native_output
 
 MAGIC = b"\x76\x2f\x31\x01"
 _LONGEST_HEADER = 32 << 20  # bytes

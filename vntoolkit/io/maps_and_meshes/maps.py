@@ -9,7 +9,7 @@ from vntoolkit.arrays import Array, Float32Array, FloatArray, Flow, Mask
 from vntoolkit.checks import require_shape
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
-from vntoolkit.io.footage.images import read_image_with_alpha, write_png
+from vntoolkit.io.footage.image_writing import write_png
 from vntoolkit.io.maps_and_meshes.exr import ExrCompression, read_exr, write_exr
 from vntoolkit.options.export import NormalConvention
 
@@ -63,6 +63,8 @@ def read_normal_map(
     if Path(path).suffix.lower() == ".exr":
         stored, weight, error, stated = exr_planes_of_normals(path, max_megapixels)
     else:
+        from vntoolkit.io.footage.images import read_image_with_alpha
+
         pixels, alpha = read_image_with_alpha(path, max_megapixels=max_megapixels)
         full = 1.0 if pixels.dtype == np.float32 else np.iinfo(pixels.dtype).max
         stored = pixels if pixels.dtype == np.float32 else pixels * np.float32(2.0 / full) - 1.0

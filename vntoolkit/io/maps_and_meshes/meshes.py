@@ -13,7 +13,7 @@ from vntoolkit.geometry.point_cloud import PointCloud
 from vntoolkit.io.atomic import write_text
 from vntoolkit.io.conventions import graphics_from_camera
 from vntoolkit.io.files import require_mesh_file, require_vertices, text_lines
-from vntoolkit.io.footage.images import write_png
+from vntoolkit.io.footage.image_writing import write_png
 from vntoolkit.io.maps_and_meshes.ply import PlyContent, bytes_from_colours, read_ply, write_ply
 from vntoolkit.options.export import MeshUpAxis
 

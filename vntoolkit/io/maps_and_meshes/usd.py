@@ -26,7 +26,7 @@ from vntoolkit.geometry.skinned_clip import SkinnedClip
 from vntoolkit.io.atomic import atomic_path
 from vntoolkit.io.conventions import graphics_from_camera, motion_with_axes_turned
 from vntoolkit.io.maps_and_meshes.texture import SurfaceTexture
-from vntoolkit.native import require_address_space, require_installed
+from vntoolkit.libraries import require_address_space, require_installed
 from vntoolkit.options.export import MeshUpAxis
 
 ROOT = "/World"

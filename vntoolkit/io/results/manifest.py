@@ -1,42 +1,35 @@
 """reconstruction.json: inputs, options and versions of a result folder.
 
-The manifest is written when a run starts and when it ends; finished frames are appended to frames.log
-beside it (`frame_log`), one short line each, so that 10,000 frames cost no more each than the first.
+It is written (`reconstruction.py`) when a run starts and when it ends. Finished frames are appended to
+frames.log beside it (`frame_log`), one short line each, so that 10,000 frames cost no more each than one.
 """
 
-import contextlib
 import hashlib
 import json
 import os
-import platform
 from collections.abc import Container, Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 from pydantic import Field, ValidationError, model_validator
 
-import vntoolkit
 from vntoolkit.arrays import FloatArray
-from vntoolkit.errors import BadInput, VntError
-from vntoolkit.io.atomic import write_text
-from vntoolkit.io.files import parse_json, read_text, require_file, sha256_of_file
+from vntoolkit.errors import BadInput
+from vntoolkit.io.files import parse_json, read_text
 from vntoolkit.io.footage.frame_range import FrameRange
-from vntoolkit.io.maps_and_meshes.label_images import LABEL_LEGEND
-from vntoolkit.io.results.folder import FolderKind, numbers_in_words, numbers_on_disk
 from vntoolkit.io.results.frame_log import FRAMES_NAME, FrameLog
+from vntoolkit.io.results.numbered_files import numbers_in_words, numbers_on_disk
 from vntoolkit.io.rigs import (
     Entry,
     RigFile,
     SourceEntry,
     one_line_from_validation,
     rig_from_entry,
-    text_from_model,
 )
-from vntoolkit.native import open3d_distribution
+from vntoolkit.photometry.frame import LABEL_LEGEND
 from vntoolkit.photometry.response import with_near_lamps
 from vntoolkit.photometry.rig import Rig
 
@@ -48,7 +41,6 @@ FRAME_FILES = {
 }  # fmt: skip
 MANIFEST_VERSION = 2
 _STILLS_RATE_HZ = 30.0
-_LIBRARIES = ("numpy", "scipy", "numba", "opencv-contrib-python-headless", "av", "OpenEXR")
 
 
 class InputEntry(Entry):
@@ -217,9 +209,19 @@ class Manifest(Entry):
     )
 
 
-def write_manifest(folder: Path | str, manifest: Manifest) -> None:
-    """Write reconstruction.json into `folder`, atomically."""
-    write_text(Path(folder) / MANIFEST_NAME, text_from_model(manifest))
+@dataclass(frozen=True, kw_only=True)
+class ReconstructionFolder:
+    """The folder DIR that `reconstruct` writes and every later verb reads."""
+
+    root: Path
+
+    def file(self, kind: str, number: int) -> Path:
+        """Return the file of a frame in one of the folders of `FRAME_FILES`."""
+        return self.root / kind / f"{number:06d}{FRAME_FILES[kind]}"
+
+    def has(self, number: int, *kinds: str) -> bool:
+        """Whether a frame has a file in each of these folders."""
+        return all(self.file(kind, number).exists() for kind in kinds)
 
 
 def has_manifest(folder: Path | str) -> bool:
@@ -298,52 +300,6 @@ def missing_files(folder: Path, manifest: Manifest, wanted: Container[int]) -> l
         f"{', '.join(kinds)} are gone; {remedy}"
         for gone, kinds in kinds_by_gone.items()
     ]
-
-
-def _numbers_of_run(folder: Path) -> set[int]:
-    numbers = set(FrameLog(folder).entries())
-    with contextlib.suppress(VntError):  # a manifest that is no longer readable
-        numbers.update(range(read_manifest(folder).input.frame_count))
-    return numbers
-
-
-RECONSTRUCTION = FolderKind(
-    verb="reconstruct",
-    holds="results",
-    record=MANIFEST_NAME,
-    files=(FRAMES_NAME, "contact.csv", "mask_suggested.png"),
-    frames={name: (suffix,) for name, suffix in FRAME_FILES.items()},
-    read=lambda path: read_manifest(path.parent),
-    text=text_from_model,
-    request=request_of_manifest,
-    numbers=_numbers_of_run,
-)
-
-
-def hashed(files: tuple[Path, ...] | list[Path]) -> list[SourceEntry]:
-    """Return name and SHA-256 of each file, in order."""
-    return [SourceEntry(file=path.name, sha256=sha256_of_file(require_file(path))) for path in files]
-
-
-def entry_of_files(name: Path, files: tuple[Path, ...]) -> SourceEntry:
-    """Return one entry for an input of one file or many: of many, the SHA-256 of their names and SHA-256s."""
-    entries = hashed(files)
-    if len(entries) == 1:
-        return entries[0]
-    listed = "".join(f"{entry.sha256}  {entry.file}\n" for entry in entries)
-    return SourceEntry(file=name.name, sha256=hashlib.sha256(listed.encode()).hexdigest())
-
-
-def library_versions() -> dict[str, str]:
-    """Return the versions of the program, Python and the libraries that shape results."""
-    versions = {"vntoolkit": vntoolkit.__version__, "python": platform.python_version()}
-    for name in _LIBRARIES:
-        try:
-            versions[name] = version(name)
-        except PackageNotFoundError:
-            versions[name] = "absent"
-    distribution, its_version = open3d_distribution()
-    return {**versions, distribution: its_version}
 
 
 def now_utc() -> str:
