@@ -32,6 +32,7 @@ READ = {
     "rawpy": "MIT, with LibRaw inside: LGPL-2.1 or CDDL-1.0",
     "reportlab": "BSD-3-Clause",
     "scipy": "BSD-3-Clause",
+    "surfalize": "GPL-3.0",
     "usd-core": "TOST-1.0 (Apache-2.0 with another trademark clause)",
 }
 HEAD = """# Licences
@@ -42,10 +43,12 @@ vntoolkit is under the MIT licence. Its dependencies keep their own.
 
     **pymeshlab is under the GPL 3.** vntoolkit imports it only where it is used: `export --clean`,
     `evaluate mesh` and `Mesh.to_pymeshlab`. Nothing else needs it. Whoever ships a program together with
-    pymeshlab ships the whole under the GPL. Leave the package out, and no dependency is under the GPL.
+    pymeshlab ships the whole under the GPL. **surfalize**, of `pip install 'vntoolkit[roughness]'`, is under
+    the GPL 3 too: `export --to roughness`, `sur` and `x3p` import it. Leave both out, and no dependency is
+    under the GPL.
 
-    certifi, hypothesis and pathspec are under the MPL 2.0, which binds their own files only. usd-core is
-    under the Tomorrow Open Source Technology licence: Apache 2.0 with another clause on trademarks. rawpy
+    certifi, hypothesis, pathspec and tqdm are under the MPL 2.0, which binds their own files only. usd-core
+    is under the Tomorrow Open Source Technology licence: Apache 2.0 with another clause on trademarks. rawpy
     brings LibRaw, under the LGPL 2.1 or the CDDL 1.0.
 
 This page is made by `scripts/licences.py` from the metadata of the locked packages.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import os
 import shutil
 import time
@@ -14,10 +15,12 @@ from pathlib import Path
 import numpy as np
 from mutators import mutate
 from specimens import KINDS, copy_of
-from stated_files import CHANGES, fault_of
+from stated_change import fault_of
+from stated_files import CHANGES
 
 from vntoolkit.errors import VntError
 
+logging.getLogger("vntoolkit").addHandler(logging.NullHandler())  # what is said of a file is no chatter
 MEMORY_LIMIT_MB = 512  # beyond what the process held before; the specimens have a few kilobytes
 LONGEST_LINE = 1000
 STATED_SHARE = 0.2  # of the cases: sound files, changed in what they state

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import struct
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,9 +12,10 @@ from typing import Any
 import cv2
 import numpy as np
 import tifffile
-from PIL import Image
+from PIL import Image, ImageCms
 from specimen_texts import write_motion, write_texts
 
+from tests.faults.stated_sensors import write_dng
 from tests.result_files import write_mesh_sequence
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
@@ -149,6 +151,7 @@ def _write_captures(folder: Path, rng: np.random.Generator) -> list[Path]:
     exif[274] = 6  # to be turned
     Image.fromarray(eight).save(folder / "turned.jpg", exif=exif, progressive=True)
     Image.fromarray(eight).save(folder / "turned.png", exif=exif)
+    _write_rare_pictures(folder, eight, sixteen)
     planes = {name: np.ascontiguousarray(eight[..., i] / np.float32(255)) for i, name in enumerate("RGB")}
     for compression in ExrCompression:
         write_exr(folder / f"{compression.value}.exr", planes, compression=compression)
@@ -159,6 +162,33 @@ def _write_captures(folder: Path, rng: np.random.Generator) -> list[Path]:
     for number in range(4):
         write_png(folder / "sequence" / f"f{number}.png", np.roll(eight, number, 1))
     return sorted(folder.iterdir())
+
+
+def _write_rare_pictures(folder: Path, eight: np.ndarray, sixteen: np.ndarray) -> None:
+    """What few cameras and programs write: files of other decoders than the common ones'."""
+    profile = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
+    for name in ("a.webp", "profile.png", "profile.jpg"):
+        Image.fromarray(eight).save(folder / name, icc_profile=profile)
+    Image.fromarray(eight).save(
+        folder / "preview.jpg", "MPO", save_all=True, append_images=[Image.fromarray(eight[::2, ::2])]
+    )
+    rows = eight[::-1, :, ::-1].tobytes()
+    header = struct.pack("<IiiHHIIiiII", 124, W, H, 1, 24, 0, len(rows), 2835, 2835, 0, 0)
+    header += bytes(16) + b"DEBM" + bytes(48) + struct.pack("<4I", 4, 124 + len(rows), len(profile), 0)
+    start = b"BM" + struct.pack("<IHHI", 138 + len(rows) + len(profile), 0, 0, 138)
+    (folder / "profile.bmp").write_bytes(start + header + rows + profile)
+    tifffile.imwrite(folder / "half.tif", eight.astype(np.float16) / 255, photometric="rgb")
+    tifffile.imwrite(folder / "tiles.tif", sixteen, photometric="rgb", tile=(16, 16))
+    planes = np.ascontiguousarray(np.moveaxis(sixteen, 2, 0))
+    tifffile.imwrite(folder / "planes.tif", planes, photometric="rgb", planarconfig="separate")
+    cells = [
+        (33421, "H", 2, (2, 2), True), (33422, "B", 4, bytes([0, 1, 1, 2]), True),
+        (50713, "H", 2, (3, 3), True), (50714, "H", 9, tuple(range(60, 69)), True),
+        (50717, "I", 1, 65535, True),
+    ]  # fmt: skip
+    write_dng(folder / "mosaic.dng", sixteen[..., 1], 32803, cells)
+    white = [(50714, "H", 3, (64, 65, 66), True), (50717, "I", 3, (65535,) * 3, True)]
+    write_dng(folder / "colours.dng", sixteen, 34892, white)
 
 
 def _write_coded_videos(folder: Path, frame: np.ndarray) -> None:

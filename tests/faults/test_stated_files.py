@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from tests.faults.stated_files import CHANGES, fault_of
+from tests.faults.stated_change import fault_of
+from tests.faults.stated_files import CHANGES
 
 
 @pytest.mark.parametrize("kind", list(CHANGES))

@@ -8,8 +8,7 @@ import pytest
 from vntoolkit.errors import BadRig
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.io.rigs import RIG_VERSION, rig_from_text, text_from_rig
-from vntoolkit.normals.inversion import normals_from_encoded, normals_from_frame, relative_albedo_from_frame
-from vntoolkit.options.normals import InversionOptions
+from vntoolkit.normals.inversion import normals_from_frame, relative_albedo_from_frame
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.levelling import Leveller
 from vntoolkit.photometry.response import (
@@ -20,7 +19,6 @@ from vntoolkit.photometry.response import (
     scaled_normals_from_rgb,
 )
 from vntoolkit.photometry.rig import Rig
-from vntoolkit.photometry.transfer import Transfer
 
 MATRIX = np.array([[0.4, 0.1, -0.42], [-0.2, 0.35, -0.45], [-0.15, -0.35, -0.5]])
 COLOURS = np.array([[0.6, 0.1, 0.05], [0.08, 0.5, 0.1], [0.1, 0.15, 0.55]])  # of the three lights
@@ -75,19 +73,6 @@ def test_inversion_undoes_the_forward_model_at_every_pixel(degree: int, rng) -> 
     np.testing.assert_allclose(result.weight, 1, atol=1e-4)
     central = normals_from_frame(frame, response.central)
     assert np.abs(central.normals_in_camera - truth).max() > 0.05  # what the variation is for
-
-
-def test_stored_integers_agree_with_the_frame(rng) -> None:
-    response, truth = varying(2, 0.02), normals_of(rng)
-    light = np.clip(rgb_from_normals(truth, response) * 1.3, 0, 1)
-    encoded = np.round(light * 65535).astype(np.uint16)
-    frame = LinearFrame(rgb=(encoded / 65535).astype(np.float32), clipped=(encoded == 65535).any(axis=2))
-    options = InversionOptions(relative_albedo=1.3)
-    by_frame = normals_from_frame(frame, response, options=options)
-    by_integers = normals_from_encoded(encoded, response, Transfer(), options=options)
-    np.testing.assert_array_equal(by_frame.mask, by_integers.mask)
-    np.testing.assert_allclose(by_frame.normals_in_camera, by_integers.normals_in_camera, atol=1e-6)
-    np.testing.assert_allclose(by_frame.weight, by_integers.weight, atol=1e-5)
 
 
 def test_a_variation_of_nothing_changes_nothing(rng) -> None:

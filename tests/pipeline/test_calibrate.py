@@ -16,12 +16,13 @@ from vntoolkit.io.light_files import read_lights
 from vntoolkit.io.maps_and_meshes.maps import read_depth_map, read_normal_map
 from vntoolkit.io.maps_and_meshes.masks import read_mask, write_mask
 from vntoolkit.io.rigs import read_rig
-from vntoolkit.normals.inversion import normals_from_encoded
+from vntoolkit.normals.inversion import normals_from_frame
 from vntoolkit.normals.photometric_stereo import normals_from_lights
 from vntoolkit.options.calibration import PressOptions
 from vntoolkit.options.reconstruction import Product, ReconstructOptions
+from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
-from vntoolkit.photometry.transfer import Transfer, encoded_from_linear
+from vntoolkit.photometry.transfer import Transfer, encoded_from_linear, linear_from_integers
 from vntoolkit.pipeline.calibrate_presses import PressJob, calibrate_presses, read_press_label
 from vntoolkit.pipeline.frame_processor import FrameProcessor
 from vntoolkit.tactile.circles import Press
@@ -154,7 +155,8 @@ def test_real_sphere_then_buddha_and_cat(real_data, tmp_path, with_mask) -> None
     lights = read_lights(real_data / "photometric_stereo" / "lights.txt").directions
     for name in ("buddha", "cat"):
         image, mask = read_image(coloured / f"{name}.png"), read_mask(coloured / f"{name}.mask.png")
-        normals = normals_from_encoded(image, rig.response, rig.transfer, mask)
+        frame = LinearFrame(linear_from_integers(image, rig.transfer))
+        normals = normals_from_frame(frame, rig.response, mask)
         reference = normals_from_lights(photographs_of(real_data, name), lights, mask)
         lit = (image > 0.05 * np.percentile(image[mask], 99, axis=0)).all(axis=2)
         both = normals.mask & reference.mask & lit

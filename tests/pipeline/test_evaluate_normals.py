@@ -12,6 +12,7 @@ from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.io.maps_and_meshes.maps import write_normal_map
 from vntoolkit.io.maps_and_meshes.meshes import write_mesh
+from vntoolkit.options.export import NormalConvention
 from vntoolkit.pipeline.evaluate import compare_normal_files, pairs_of
 
 
@@ -40,6 +41,27 @@ def test_folders_are_compared_frame_by_frame(folders, tmp_path, capsys):
     for figure in ("normals_map.png", "normals_curve.png"):
         assert (tmp_path / "out" / figure).read_bytes()[:4] == b"\x89PNG"
     assert "12.0" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("convention", list(NormalConvention))
+def test_axes_and_encodings_of_either_side_are_found_out(
+    convention: NormalConvention, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A ball by another program: floats from 0 to 1 in an archive, in each of three conventions."""
+    v, u = np.mgrid[:60, :80]
+    x, y = (u - 40) / 28.0, (v - 30) / 28.0
+    inside = x**2 + y**2 < 0.8
+    z = -np.sqrt(np.where(inside, 1 - x**2 - y**2, 1))
+    normals = np.where(inside[..., None], np.stack([x, y, z], axis=-1), 0).astype(np.float32)
+    write_normal_map(tmp_path / "ours.exr", NormalMap(normals_in_camera=normals, mask=inside))
+    stored = np.where(inside[..., None], 0.5 + 0.5 * normals * convention.signs, 0)
+    np.savez(tmp_path / "theirs.npz", normals=stored)
+    pair = pairs_of(tmp_path / "ours.exr", tmp_path / "theirs.npz")
+    assert compare_normal_files(pair).overall.mean_deg < 0.1
+    assert f"read as {convention.value}" in caplog.text
+    wrong = NormalConvention.OPENGL if convention is NormalConvention.DIRECTX else NormalConvention.DIRECTX
+    if convention is not NormalConvention.OPENCV:  # its z turns the map away, which is refused
+        assert compare_normal_files(pair, (None, wrong)).overall.mean_deg > 10
 
 
 def test_bad_pairs_get_one_clear_line(tmp_path: Path, folders: tuple[Path, Path]) -> None:

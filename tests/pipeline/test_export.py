@@ -3,6 +3,7 @@
 import json
 import os
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -291,3 +292,71 @@ def test_cleaned_meshes_have_the_faces_asked_for(dome_result: DomeResult, tmp_pa
     mesh, whole = read_mesh(out / "000001.ply"), read_mesh(dome_result.folder / "mesh/000001.ply")
     assert 200 < len(mesh.faces) <= 300 < len(whole.faces)
     assert mesh_distance(mesh, whole).mean_percent < 0.5
+
+
+@pytest.mark.parametrize(
+    ("to", "options", "names"),
+    [
+        (ExportFormat.HEIGHTS, {"scale": 0.001}, ("000000.png", "000000.json")),
+        (ExportFormat.LOCAL_SHAPE, {"longest": 20.0}, ("000000.exr", "000000.png")),
+        (ExportFormat.CURVATURE, {"shortest": 6.0}, ("000000.exr", "000000.png")),
+        (ExportFormat.PROFILE, {"line": (20.0, 24.0, 44.0, 24.0)}, ("000000.csv",)),
+        (ExportFormat.ROUGHNESS, {"longest": 20.0}, ("000000.json",)),
+        (ExportFormat.SUR, {"scale": 0.001}, ("000000.sur",)),
+        (ExportFormat.X3P, {"scale": 0.001}, ("000000.x3p",)),
+    ],
+)
+def test_files_for_inspection(
+    dome_result: DomeResult,
+    tmp_path: Path,
+    to: ExportFormat,
+    options: dict[str, object],
+    names: tuple[str, ...],
+) -> None:
+    out = exported(dome_result, tmp_path / "out", to, **options)
+    assert {name for name in names if (out / name).stat().st_size > 0} == set(names)
+    job = ExportJob(
+        folder=dome_result.folder, options=ExportOptions(to=to, **options), out=out, frames=FRAMES
+    )
+    assert export(job).kept == export(job).frames
+    export(replace(job, options=ExportOptions(to=ExportFormat.PNG)), overwrite=True)
+    assert not [name for name in names if name != "000000.png" and (out / name).exists()]
+
+
+def test_a_height_picture_says_what_its_values_mean(dome_result: DomeResult, tmp_path: Path) -> None:
+    out = exported(dome_result, tmp_path, ExportFormat.HEIGHTS, scale=0.001)
+    stored, told = read_image(out / "000000.png")[..., 0], json.loads((out / "000000.json").read_text())
+    assert (told["unit"], told["not_measured"]) == ("mm", 0)
+    depth_map = read_depth_map(dome_result.folder / "depth" / "000000.exr")
+    assert ((stored > 0) == depth_map.mask).all()
+    span = told["height_at_65535"] - told["height_at_1"]
+    heights = told["height_at_1"] + (stored[depth_map.mask] - 1.0) / 65534.0 * span
+    relief = np.corrcoef(heights, -depth_map.depth[depth_map.mask])[0, 1]
+    assert relief > 0.99
+
+
+def test_heights_without_a_scale_are_in_pixels_and_no_files_of_micrometres(
+    dome_result: DomeResult, tmp_path: Path
+) -> None:
+    out = exported(dome_result, tmp_path / "a", ExportFormat.ROUGHNESS)
+    assert json.loads((out / "000000.json").read_text())["unit"] == "px"
+    with pytest.raises(BadInput, match="sur: its lengths are micrometres and the result has no scale"):
+        exported(dome_result, tmp_path / "b", ExportFormat.SUR)
+
+
+@pytest.mark.parametrize(
+    ("to", "options", "line"),
+    [
+        (ExportFormat.PLY, {"longest": 1.0}, "ply: longest, shortest and line are for inspection"),
+        (ExportFormat.HEIGHTS, {"units": FileUnit.CM}, "heights: its lengths are millimetres, or pixels"),
+        (ExportFormat.HEIGHTS, {"longest": -1.0}, "longest: expected a positive wavelength, got -1"),
+        (ExportFormat.HEIGHTS, {"longest": 1.0, "shortest": 2.0}, "expected a longer wavelength"),
+        (ExportFormat.LOCAL_SHAPE, {}, "local-shape: expected --longest"),
+        (ExportFormat.CURVATURE, {"longest": 1.0}, "curvature: a form is not removed from it"),
+        (ExportFormat.PROFILE, {}, "--line COLUMN ROW COLUMN ROW and --to profile belong together"),
+        (ExportFormat.HEIGHTS, {"line": (0.0, 0.0, 1.0, 1.0)}, "--to profile belong together"),
+    ],
+)
+def test_refused_options_for_inspection(to: ExportFormat, options: dict[str, object], line: str) -> None:
+    with pytest.raises(BadInput, match=line):
+        ExportOptions(to=to, **options)

@@ -25,7 +25,8 @@ def test_view_writes_the_page_that_it_is_asked_for(dome_result, tmp_path, capsys
     assert page.stat().st_size < 200_000
 
 
-def test_export_says_where_it_went(dome_result, tmp_path, capsys):
+def test_export_says_where_it_went(dome_result, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("shutil.which", lambda program: program)
     out = tmp_path / "a.usdc"
     flags = ["--to", "usd", "--units", "mm", "--scale", "0.01", "--up", "z", "--frames", "0:2"]
     assert main(["export", str(dome_result.folder), "--out", str(out), *flags]) == 0
@@ -35,6 +36,9 @@ def test_export_says_where_it_went(dome_result, tmp_path, capsys):
     assert (program, flag) == ("blender", "--python-expr")
     assert f"usd_import(filepath='{out}')" in script
     assert out.read_bytes()[:8] == b"PXR-USDC"
+    monkeypatch.setattr("shutil.which", lambda program: None)
+    assert main(["export", str(dome_result.folder), "--out", str(out), *flags, "--overwrite"]) == 0
+    assert f"next: open {out} in Blender (File, Import)" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

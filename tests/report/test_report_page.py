@@ -58,6 +58,12 @@ def test_names_are_escaped(page: Path) -> None:
 
 def test_nothing_is_fetched(page: Path) -> None:
     text = page.read_text()
+    policy = re.search(r'http-equiv="Content-Security-Policy" content="([^"]*)"', text)
+    assert policy is not None
+    assert policy[1].startswith(
+        "default-src 'none'; "
+    )  # no script runs, whatever a name or a figure brings in
+    assert "script-src" not in policy[1]
     assert re.findall(r'(?:src|href)="(?!data:|#)[^"]*"', text) == []
     assert set(re.findall(r"\w+://[^\"'\s)<]+", text)) <= {
         "http://www.w3.org/2000/svg",

@@ -11,7 +11,6 @@ import pytest
 from tests.tracking.wrinkled_video import WrinkledVideo
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, NormalMap
-from vntoolkit.tracking.covering import Covering
 from vntoolkit.tracking.edge_prior import EdgePrior, share_right
 from vntoolkit.tracking.factors import full_of, total
 from vntoolkit.tracking.lattice import LocalJacobians, TemplateLattice, lattice_on_template
@@ -49,26 +48,6 @@ def measured(first: NormalMap, second: NormalMap, shift=(0.0, 0.0)) -> Registrat
     positions = template.positions_px + np.asarray(shift)
     jacobians = LocalJacobians(lattice, template.positions_px).of(positions)
     return registration.measure(positions, jacobians, relief_of(second))
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_a_ragged_figure_has_no_node_that_its_vertices_do_not_follow(seed: int) -> None:
-    """Small pieces that meet in a corner, as nodes of their own, leave least singular values down to 0.06."""
-    rng = np.random.default_rng(seed)
-    ragged = cv2.GaussianBlur(rng.normal(size=(HEIGHT, WIDTH)), (0, 0), 3.0) > -0.08
-    mask = ragged & (np.linalg.norm(GRID - rng.uniform(40.0, 60.0, 2), axis=-1) < 30.0)
-    mask[90:92, 120:122] = True  # an island stays by itself, small as it is
-    flat = np.zeros((HEIGHT, WIDTH))
-    template = template_from_maps(normals(flat, flat, mask), flat_depth(mask), CAMERA)
-    lattice = lattice_on_template(template, 8)
-    assert np.allclose(lattice.shares.sum(axis=1), 1.0)
-    moved = np.zeros((lattice.count, lattice.count))  # means of a node's vertices, by values of nodes
-    np.add.at(moved, (np.repeat(lattice.node_of_vertex, 4), lattice.taps.ravel()), lattice.shares.ravel())
-    moved /= np.bincount(lattice.node_of_vertex)[:, None]
-    assert np.linalg.svd(moved, compute_uv=False).min() > 0.15
-    island = template.pixels[:, 0] >= 120
-    assert island.sum() == 4
-    assert not np.isin(lattice.node_of_vertex[~island], lattice.node_of_vertex[island]).any()
 
 
 def test_noise_tells_nothing(rng: np.random.Generator) -> None:
@@ -246,16 +225,15 @@ def test_a_surface_may_slip_behind_an_occluding_contour_and_hangs_together_elsew
         still = template.positions_px
         around = LocalJacobians(lattice, still).of(still)
         known = np.ones(lattice.count)
-        guess = lengths.at(still, around, slopes, flat_depth(mask), 0 * known, 0 * known, known)
-        variance, torn = guess.variance, guess.torn
+        guess = lengths.at(still, around, slopes, flat_depth(mask), known)
+        strain = np.sqrt(guess.variance / np.sum(lengths.along**2, axis=1))
         across = np.abs(lengths.along[:, 0]) > 4
         middle = across & (np.abs(lengths.centres[lengths.edges].mean(axis=1)[:, 0] - 56) < 5)
         if name.startswith("contour"):
-            assert torn[middle].min() > 0.9
-            assert torn[~across].max() < 1e-3
+            assert strain[middle].min() > 0.9
+            assert strain[~across].max() < 0.4
         else:
-            strain = np.sqrt(torn * variance / np.sum(lengths.along**2, axis=1))
-            assert strain.max() < 0.05, name
+            assert strain.max() < 0.4, name
 
 
 def flat_lengths() -> tuple[np.ndarray, np.ndarray, TemplateLattice, EdgePrior]:
@@ -270,10 +248,7 @@ def flat_lengths() -> tuple[np.ndarray, np.ndarray, TemplateLattice, EdgePrior]:
 
 
 def test_lengths_hold_where_the_surface_is_seen_and_a_body_moves_it_where_it_is_not() -> None:
-    """A part of a rigid sheet is read off another slope; or it is covered, or nothing is known.
-
-    What does not match and is not covered has slipped: lengths hold there.
-    """
+    """A part of a rigid sheet is read off another slope; or nothing is known of it."""
     mask, pixels, lattice, lengths = flat_lengths()
     known = (lengths.centres[:, 0] < 84).astype(np.float64)
     around = LocalJacobians(lattice, pixels).of(pixels)
@@ -282,17 +257,13 @@ def test_lengths_hold_where_the_surface_is_seen_and_a_body_moves_it_where_it_is_
     nothing = np.where(part[..., None], np.float32(0.0), sloping)
     at_part = (lengths.centres[lengths.edges][:, :, 0] > 92).all(axis=1) & (np.abs(lengths.along[:, 0]) > 4)
 
-    def off(slopes: np.ndarray, hidden: float, behind: float) -> float:
-        guess = lengths.at(
-            pixels, around, slopes, flat_depth(mask), hidden * (1.0 - known), behind * (1.0 - known), known
-        )
+    def off(slopes: np.ndarray) -> float:
+        guess = lengths.at(pixels, around, slopes, flat_depth(mask), known)
         return float(np.median(np.abs(guess.steps - lengths.along)[at_part, 0]))
 
     turned = 8.0 * (1.0 - 1.0 / np.hypot(1.0, 0.6))
-    assert off(sloping, 0.0, 0.0) > 0.8 * turned
-    assert off(sloping, 1.0, 0.0) > 0.8 * turned
-    assert off(sloping, 1.0, 1.0) < 0.1
-    assert off(nothing, 0.0, 0.0) < 0.1
+    assert off(sloping) > 0.8 * turned
+    assert off(nothing) < 0.1
 
 
 def test_lengths_are_read_between_the_nodes_of_a_link_so_that_a_narrow_fold_is_not_smoothed_away() -> None:
@@ -310,22 +281,6 @@ def test_lengths_are_read_between_the_nodes_of_a_link_so_that_a_narrow_fold_is_n
     assert np.median(steps[fold, 0]) == pytest.approx(8.0 * share, abs=0.8)  # 6.2 by the cells at its ends
 
 
-def test_what_lies_behind_another_part_that_matches_better_is_covered() -> None:
-    _, pixels, lattice, lengths = flat_lengths()
-    left = lengths.centres[:, 0] < 64
-    onto = pixels - np.stack([np.where(left[lattice.node_of_vertex], 0.0, 56.0), 0 * pixels[:, 0]], axis=1)
-    covering = Covering(lattice, CAMERA)
-    match = np.where(left, 0.8, 0.2)
-    assert covering.of(pixels, match).max() == 0.0
-    far = np.abs(lengths.centres[:, 0] - 64) > 28  # of one another, where they meet
-    np.testing.assert_array_equal(covering.of(onto, match)[far], np.where(left, 0.0, 1.0)[far])
-    np.testing.assert_array_equal(covering.of(onto, 1.0 - match)[far], np.where(left, 1.0, 0.0)[far])
-    assert covering.of(pixels + np.array([4 * WIDTH, 0]), match).min() == 1.0
-    folded = np.column_stack([64.0 + 0.1 * (pixels[:, 0] - 64.0), pixels[:, 1]])
-    assert covering.of(folded, match).max() > 0.0
-    assert covering.of(64.0 + 0.5 * (pixels - 64.0), match).max() == 0.0  # near on the surface, and steep
-
-
 def test_lengths_err_by_a_share_of_what_is_left_of_them_in_the_image() -> None:
     """Normals that err alike: of a part that is seen obliquely now, and of one that was in the template."""
     mask = np.zeros((HEIGHT, WIDTH), dtype=bool)
@@ -338,12 +293,10 @@ def test_lengths_err_by_a_share_of_what_is_left_of_them_in_the_image() -> None:
         lengths = EdgePrior(lattice, template, CAMERA, slopes_from_normals(first, CAMERA))
         still = template.positions_px
         around = LocalJacobians(lattice, still).of(still)
-        steps, strain, _, away_px = lengths._by_lengths(
+        steps, strain, _ = lengths._by_lengths(
             still, around, slopes_from_normals(second, CAMERA), flat_depth(mask)
         )
         across = np.abs(lengths.along[:, 0]) > 4
-        slope = 1.5 if second is oblique else 0.0
-        np.testing.assert_allclose(away_px, slope * lengths.along[:, 0], atol=0.1)
         errs.append(np.median((np.sqrt(strain) * np.hypot(*lengths.along.T) / np.hypot(*steps.T))[across]))
     assert errs[0] == pytest.approx(errs[1], rel=0.01)
 
@@ -365,9 +318,7 @@ def test_lengths_are_as_unsure_as_light_that_is_not_foreseen_makes_them() -> Non
     now = replace(now, weight=np.where(shaded, weight, 1.0).astype(np.float32) * mask)
     still = template.positions_px
     around = LocalJacobians(lattice, still).of(still)
-    steps, strain, _, _ = lengths._by_lengths(
-        still, around, slopes_from_normals(now, CAMERA), flat_depth(mask)
-    )
+    steps, strain, _ = lengths._by_lengths(still, around, slopes_from_normals(now, CAMERA), flat_depth(mask))
     x, y = lengths.middles.T
     across = (np.abs(lengths.along[:, 0]) > 4) & (x > 16) & (x < 52) & (y > 16) & (y < 80)
     departs = np.sum((steps - lengths.along) ** 2, axis=1) / np.sum(lengths.along**2, axis=1)

@@ -51,11 +51,11 @@ class NormalsArguments(_Written, PictureLimits):
     """What `evaluate_normal_files` takes."""
 
     measured: File = field(kw_only=False)
-    """A normal map, EXR or PNG, or a folder of them, such as `vntoolkit reconstruct` writes."""
+    """A normal map as `integrate` reads them, or a folder of them, such as `vntoolkit reconstruct` writes."""
     reference: File = field(kw_only=False)
     """The reference: a map or a folder, such as `vntoolkit simulate` writes. Files are paired by name."""
     measured_convention: Named[NormalConvention | None, NormalConventionName | None] = named(None)
-    """Axes of the measured map. Default: those that the file states, else x right, y up, z to the viewer."""
+    """Axes of the measured map. Default: those that the file states, else what the first map itself tells."""
     reference_convention: Named[NormalConvention | None, NormalConventionName | None] = named(None)
     """Axes of the reference."""
 

@@ -29,7 +29,8 @@ class ExportArguments(FrameOptions, MovedFootageOptions, ExportOptions, CleanOpt
     """The format. usd: one animated file (set the frame rate of Blender's scene to the capture's, since
     Blender keeps its own). glb: one animated file of a registered surface, else one a frame. ply, obj: a mesh
     a frame. points: a point cloud a frame as .ply, of all pixels with a depth. npz: arrays. png: 16-bit
-    normal maps. diligent: a folder a frame, laid out like the benchmark's."""
+    normal maps. diligent: a folder a frame, laid out like the benchmark's. heights, local-shape, curvature,
+    profile, roughness, sur, x3p: for inspection, see the guide."""
     clean: bool = False
     """Remove small pieces of the meshes and close small holes (pymeshlab). --most-faces and the like imply
     it."""
@@ -65,6 +66,12 @@ def export(asked: ExportArguments) -> Path:
     which = {True: " of the tracked mesh", False: " of each frame's own mesh", None: ""}[summary.is_tracked]
     say(f"{summary.out}: {summary.frames} frames{which}{kept}")
     files = [summary.out] if summary.out.is_file() else sorted(summary.out.iterdir())
+    if job.options.to is ExportFormat.PROFILE:
+        from vntoolkit.report.figures import write_profile
+
+        for path in files:
+            if path.suffix == ".csv":
+                write_profile(path.with_suffix(".png"), path)
     shapes = [path for path in files if path.suffix.lower() in _SHAPES]
     if shapes:
         print_next_program(shapes[0])

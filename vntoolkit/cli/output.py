@@ -7,6 +7,7 @@ import json
 import logging
 import os
 import shlex
+import shutil
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextvars import ContextVar
 from datetime import timedelta
@@ -72,14 +73,16 @@ def print_next(*words: str | Path) -> None:
 
 
 def print_next_program(written: Path) -> None:
-    """Print the command that opens a mesh or an animation in MeshLab or Blender, ready to paste."""
+    """Print the command that opens a mesh or an animation in MeshLab or Blender; its name without them."""
     suffix = written.suffix.lower()
-    if suffix in MESH:
-        say(f"next: {shlex.join(['meshlab', str(written)])}")
-        return
-    reader = "import_scene.gltf" if suffix == ".glb" else "wm.usd_import"
-    command = f"import bpy; bpy.ops.{reader}(filepath={str(written)!r})"
-    say(f"next: {shlex.join(['blender', '--python-expr', command])}")
+    words = ["meshlab", str(written)]
+    if suffix not in MESH:
+        reader = "import_scene.gltf" if suffix == ".glb" else "wm.usd_import"
+        words = ["blender", "--python-expr", f"import bpy; bpy.ops.{reader}(filepath={str(written)!r})"]
+    if shutil.which(words[0]):
+        say(f"next: {shlex.join(words)}")
+    else:
+        say(f"next: open {written} in {'MeshLab or ' if suffix in MESH else ''}Blender (File, Import)")
 
 
 def write_json(path: Path, content: Any) -> None:

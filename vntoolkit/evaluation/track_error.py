@@ -14,7 +14,7 @@ from vntoolkit.arrays import BoolArray, Faces, FloatArray, Int32Array, Points, P
 from vntoolkit.checks import require_positive, require_shape
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
-from vntoolkit.native import njit
+from vntoolkit.geometry.rays import RayScene, pixel_rays
 from vntoolkit.options.tracking import LOST_PX
 
 _OUTLIER_PX = 4.0
@@ -76,19 +76,15 @@ def anchors_on_mesh(positions_px: Points2, vertices: Points, faces: Faces, camer
     require_shape(vertices, (None, 3), "true vertices")
     if not camera.is_perspective:
         raise BadInput("track error: expected the perspective camera that the truth was filmed with")
-    pixels = camera.project(vertices)
-    corners = np.zeros((len(positions_px), 3), dtype=np.int32)
-    weights = np.tile([1.0, 0.0, 0.0], (len(positions_px), 1))
-    nearest = np.full(len(positions_px), np.inf)
-    columns = np.argsort(positions_px[:, 0], kind="stable")
-    _cover(
-        np.ascontiguousarray(positions_px, dtype=np.float64), columns, positions_px[columns, 0].astype(float),
-        pixels, 1.0 / np.asarray(vertices, dtype=np.float64)[:, 2], np.asarray(faces, dtype=np.int32),
-        corners, weights, nearest,
-    )  # fmt: skip
-    return SurfaceAnchors(
-        corners=read_only(corners), weights=read_only(weights), found=read_only(np.isfinite(nearest))
-    )
+    _, rays = pixel_rays(camera, np.asarray(positions_px, dtype=np.float64))
+    hits = RayScene((vertices, faces)).first_hits(np.hstack([np.zeros_like(rays), rays]))
+    corners = np.zeros((len(rays), 3), dtype=np.int32)
+    weights, found = np.tile([1.0, 0.0, 0.0], (len(rays), 1)), np.zeros(len(rays), dtype=np.bool_)
+    corners[hits.rays], found[hits.rays] = faces[hits.faces], True
+    met = np.swapaxes(np.asarray(vertices, dtype=np.float64)[corners[hits.rays]], 1, 2)
+    along = np.linalg.solve(met, rays[hits.rays][..., None])[..., 0]  # Embree's own are float32
+    weights[hits.rays] = along / along.sum(axis=1, keepdims=True)
+    return SurfaceAnchors(corners=read_only(corners), weights=read_only(weights), found=read_only(found))
 
 
 def visible(points: FloatArray, vertices: Points, faces: Faces, camera: Camera) -> BoolArray:
@@ -143,37 +139,3 @@ def error_of_frame(number: int, distance_px: FloatArray, found: BoolArray) -> Tr
         found_median_px=float(found_median),
         found_p95_px=float(found_p95),
     )
-
-
-@njit(cache=True)
-def _cover(positions, columns, sorted_u, pixels, inverse_depth, faces, corners, weights, nearest):  # type: ignore[no-untyped-def]
-    """For each position the frontmost triangle over it, with perspective-correct weights."""
-    for f in range(faces.shape[0]):
-        i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
-        area = (pixels[j, 0] - pixels[i, 0]) * (pixels[k, 1] - pixels[i, 1]) - (
-            pixels[k, 0] - pixels[i, 0]
-        ) * (pixels[j, 1] - pixels[i, 1])
-        if not abs(area) > 1e-12:
-            continue
-        low = min(pixels[i, 0], pixels[j, 0], pixels[k, 0])
-        high = max(pixels[i, 0], pixels[j, 0], pixels[k, 0])
-        bottom = min(pixels[i, 1], pixels[j, 1], pixels[k, 1])
-        top = max(pixels[i, 1], pixels[j, 1], pixels[k, 1])
-        first = np.searchsorted(sorted_u, low)
-        last = np.searchsorted(sorted_u, high, side="right")
-        for p in range(first, last):
-            n = columns[p]
-            u, v = positions[n, 0], positions[n, 1]
-            if v < bottom or v > top:
-                continue
-            b = ((u - pixels[i, 0]) * (pixels[k, 1] - pixels[i, 1]) - (pixels[k, 0] - pixels[i, 0]) * (v - pixels[i, 1])) / area  # fmt: skip  # noqa: E501
-            c = ((pixels[j, 0] - pixels[i, 0]) * (v - pixels[i, 1]) - (u - pixels[i, 0]) * (pixels[j, 1] - pixels[i, 1])) / area  # fmt: skip  # noqa: E501
-            a = 1.0 - b - c
-            if a < -1e-9 or b < -1e-9 or c < -1e-9:
-                continue
-            a, b, c = a * inverse_depth[i], b * inverse_depth[j], c * inverse_depth[k]
-            total = a + b + c
-            if total > 0 and 1.0 / total < nearest[n]:
-                nearest[n] = 1.0 / total
-                corners[n, 0], corners[n, 1], corners[n, 2] = i, j, k
-                weights[n, 0], weights[n, 1], weights[n, 2] = a / total, b / total, c / total

@@ -183,6 +183,10 @@ def require_pixels(
 
     max_megapixels: None for the limit that holds.
     """
+    if min(width, height) < 1:
+        raise error(
+            f"{name}: states a size of {width}×{height}, expected pixels; it is damaged: copy it again"
+        )
     most = reading_limits().max_megapixels if max_megapixels is None else max_megapixels
     megapixels = width * height / 1e6
     if megapixels > most:

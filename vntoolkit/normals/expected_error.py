@@ -18,40 +18,16 @@ relief that blur took, an error of M. Beside them
 
 import math
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
-from numba import prange
 
-from vntoolkit.arrays import Array, ByteArray, Float32Array, Mask, VisibilityLabels
+from vntoolkit.arrays import ByteArray, Float32Array, FloatArray, Mask, VisibilityLabels
 from vntoolkit.checks import require_shape
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import HALF_WEIGHT_DEG, NormalMap
-from vntoolkit.native import njit
-from vntoolkit.normals.frame_evidence import (
-    LEAST_FACING,
-    LONGEST,
-    SHORTEST,
-    Coefficients,
-    FrameLight,
-    brightness_at,
-    coefficients_from_rig,
-    evidence_of_frame,
-    evidence_row,
-)
-from vntoolkit.normals.inversion import (
-    coefficients_from_response,
-    decoding_of,
-    read_row,
-    require_encoded,
-    require_mask_or_all,
-    rows_of,
-)
-from vntoolkit.options.normals import InversionOptions
+from vntoolkit.normals.frame_evidence import LEAST_FACING, LONGEST, SHORTEST, evidence_of_frame
 from vntoolkit.photometry.frame import ALL_LIT, LinearFrame
-from vntoolkit.photometry.levelling import FLAGS, leveller_of, map_row, span_of
-from vntoolkit.photometry.response import LightResponse
-from vntoolkit.photometry.transfer import Transfer
+from vntoolkit.photometry.response import LightResponse, scaled_normals_from_rgb
 
 # Nine of ten angles of a two-dimensional normal distribution lie within √(2 ln 10) standard deviations.
 NINE_OF_TEN = 2.146
@@ -65,13 +41,6 @@ _OF_TWO_LIGHTS = 1.2  # radians over the distances to the normals that two light
 _ALBEDO_SPREAD = np.float32(0.03)  # relative standard deviation of lit pixels' albedo about the surroundings'
 # A sphere shows nine tenths of its image within this angle of the axis: what a guess without data is worth.
 _LARGEST_DEG = np.float32(71.6)
-
-# The same, as the loops need it: squared, in degrees.
-_PER_NOISE = np.float32(np.degrees(NINE_OF_TEN) ** 2)
-_PER_TURN = np.float32(np.degrees(_OF_ELLIPSOID) ** 2)
-_PER_DEPARTURE = np.float32(np.degrees(_OF_LENGTH) ** 2)
-_PER_HALF_WEIGHT = np.float32(1.0 / HALF_WEIGHT_DEG)
-_PER_DISTANCE = np.float32(np.degrees(_OF_TWO_LIGHTS) ** 2)
 
 
 def with_expected_error(
@@ -99,26 +68,59 @@ def with_expected_error(
     require_shape(frame.rgb, (*shape, 3), "frame of the normals")
     if labels is not None:
         require_shape(labels, shape, "visibility labels")
-        labels = np.ascontiguousarray(labels)
-    clipped = np.ascontiguousarray(frame.clipped)
-    light = FrameLight(np.ascontiguousarray(frame.rgb), None, clipped, np.float32(0), None)
-    mask = np.ascontiguousarray(normal_map.mask)
-    c = coefficients_from_rig(response, camera)
-    noise_deg, turns, constants = _judged(light, mask, labels, c, residual_deg, blur_px, residual_of_pixels)
-    error, weight = np.empty(shape, np.float32), np.empty(shape, np.float32)
-    found = rows_of(np.ascontiguousarray(normal_map.normals_in_camera, np.float32))
-    _error_kernel(
-        rows_of(light.image), found, mask, labels, _pairs_of_lights(response), turns, constants, error, weight
-    )
-    return replace(normal_map, error_deg=error, noise_deg=noise_deg, weight=weight)
+    mask, central = normal_map.mask, response.central
+    noise, seen, turns, ellipsoid = evidence_of_frame(frame, mask, labels, central, camera, blur_px)
+    residual = np.radians(_OF_RESIDUAL * max(residual_deg, 0.0)) ** 2
+    if residual_of_pixels and seen.any():
+        residual = max(residual - NINE_OF_TEN**2 * float(np.median(noise[seen > 0])), 0.0)
+    scaled = scaled_normals_from_rgb(frame.rgb, central)
+    turned, departed, known = _against_ellipsoid(scaled, turns, ellipsoid)
+    unlit = 0.0 if labels is None else _unlit(scaled, normal_map, labels, central, ellipsoid[0])
+    square = np.float32(residual) + np.float32(_OF_ELLIPSOID**2) * turned + np.float32(NINE_OF_TEN**2) * turns
+    square += np.float32(_OF_LENGTH**2) * departed * (unlit == 0.0) + unlit
+    error = np.where(known, np.minimum(np.degrees(np.sqrt(square)), _LARGEST_DEG), _LARGEST_DEG) * mask
+    noise_deg = np.degrees(NINE_OF_TEN * np.sqrt(noise))
+    weight = mask / (1.0 + np.square(error / np.float32(HALF_WEIGHT_DEG)))
+    return replace(normal_map, error_deg=error, noise_deg=noise_deg, weight=np.asarray(weight, np.float32))
+
+
+def _against_ellipsoid(
+    scaled: Float32Array, turns: Float32Array, ellipsoid: FloatArray
+) -> tuple[Float32Array, Float32Array, Mask]:
+    """Return of M⁻¹(r − a) (h, w, 3) the turns by M's error, squared, departures of its length, squared, and
+    where it has one. ellipsoid: of `fit_ellipsoid`.
+    """
+    h, w = turns.shape
+    e00, e01, e02, e11, e12, e22 = ellipsoid[1:7]
+    matrix = np.array([[e00, e01, e02], [e01, e11, e12], [e02, e12, e22]], np.float32)
+    f = ellipsoid[7:13].astype(np.float32)
+    u = np.arange(w, dtype=np.float32) - np.float32(0.5 * (w - 1))
+    v = np.arange(h, dtype=np.float32)[:, None] - np.float32(0.5 * (h - 1))
+    with np.errstate(invalid="ignore", over="ignore"):
+        size = np.sqrt(np.einsum("vui,vui->vu", scaled, scaled))
+        known = (size > SHORTEST) & (size < LONGEST)
+        size = np.where(known, size, np.float32(1))
+        own = np.where(known[..., None], scaled, np.float32(0)) / size[..., None]
+    moved = own @ matrix
+    along = np.einsum("vui,vui->vu", moved, own)
+    turned = np.maximum(np.einsum("vui,vui->vu", moved, moved) - along**2, 0)
+    brightness = 1 + f[0] + f[1] * u + f[2] * v + f[3] * u**2 + f[4] * v**2 + f[5] * u * v
+    foretold = np.maximum(along + brightness, LEAST_FACING)
+    measured = np.maximum(size * np.float32(ellipsoid[0]), SHORTEST)
+    ratio = measured / foretold
+    departure = np.minimum(np.square(0.5 * (ratio - 1 / ratio)), 1)  # squared sinh of the log length
+    # as robust fits weigh: next to nothing within three standard deviations, all of it far beyond
+    departed = departure**2 / (departure + 9 * (np.float32(ellipsoid[13]) + turns) + SHORTEST)
+    share = np.float32(ellipsoid[15] ** 2) + np.float32(ellipsoid[14]) * turned
+    return share, departed, known
 
 
 def with_doubt(normal_map: NormalMap, doubt_deg: Float32Array) -> NormalMap:
     """Return the map with a further, independent error (h, w) in degrees, and the weight from both."""
     assert normal_map.error_deg is not None
-    error, weight = np.empty((2, *normal_map.mask.shape), np.float32)
-    _add_doubt(normal_map.error_deg, doubt_deg, normal_map.mask, error, weight)
-    return replace(normal_map, error_deg=error, weight=weight)
+    error = np.minimum(np.hypot(normal_map.error_deg, doubt_deg), _LARGEST_DEG) * normal_map.mask
+    weight = normal_map.mask / (1.0 + (error / HALF_WEIGHT_DEG) ** 2)
+    return replace(normal_map, error_deg=error, weight=np.asarray(weight, np.float32))
 
 
 def doubts_of_materials(
@@ -128,34 +130,8 @@ def doubts_of_materials(
 
     numbers: (h, w), of the materials. turned_deg: (h, w), None for 0.
     """
-    doubts = np.empty(numbers.shape, np.float32)
-    _fill_doubts(
-        numbers, bounds_deg, np.zeros((1, 1), np.float32) if turned_deg is None else turned_deg, doubts
-    )
-    return doubts
-
-
-@njit(cache=True, parallel=True, error_model="numpy")
-def _add_doubt(told: Any, doubt: Any, mask: Any, error: Any, weight: Any) -> None:
-    for v in prange(len(mask)):
-        for u in range(mask.shape[1]):
-            e = min(np.sqrt(told[v, u] * told[v, u] + doubt[v, u] * doubt[v, u]), _LARGEST_DEG)
-            half = e * _PER_HALF_WEIGHT
-            error[v, u] = e if mask[v, u] else np.float32(0.0)
-            weight[v, u] = (
-                np.float32(1.0) / (np.float32(1.0) + half * half) if mask[v, u] else np.float32(0.0)
-            )
-
-
-@njit(cache=True, parallel=True, error_model="numpy")
-def _fill_doubts(numbers: Any, bounds: Any, turned: Any, out: Any) -> None:
-    """turned: (1, 1) where it is 0 everywhere."""
-    is_turned = turned.size > 1
-    for v in prange(len(numbers)):
-        for u in range(numbers.shape[1]):
-            bound = bounds[numbers[v, u]]
-            rest = turned[v, u] if is_turned else np.float32(0.0)
-            out[v, u] = np.sqrt(bound * bound + rest * rest)
+    bounds = bounds_deg[numbers]
+    return bounds if turned_deg is None else np.hypot(bounds, turned_deg)
 
 
 def _pairs_of_lights(response: LightResponse) -> Float32Array:
@@ -169,218 +145,40 @@ def _pairs_of_lights(response: LightResponse) -> Float32Array:
     return pairs.astype(np.float32)
 
 
-def normals_and_errors_from_encoded(
-    encoded: Array,
+def _unlit(
+    scaled: Float32Array,
+    found: NormalMap,
+    labels: VisibilityLabels,
     response: LightResponse,
-    transfer: Transfer,
-    mask: Mask | None = None,
-    *,
-    camera: Camera | None = None,
-    options: InversionOptions | None = None,
-    bits: int | None = None,
-    residual_deg: float = 0.0,
-    blur_px: float = 0.0,
-    residual_of_pixels: bool = False,
-) -> tuple[NormalMap, float]:
-    """Decode, invert and tell the error in one pass; return the map and the share of clipped pixels.
+    over_albedo: float,
+) -> Float32Array:
+    """(h, w) squared bounds, radians², of pixels that not all lights reach, 0 of the others.
 
-    The normals of `normals_from_encoded` with the errors of `with_expected_error`.
+    scaled: (h, w, 3) M⁻¹(r − a).
     """
-    shape = require_encoded(encoded)
-    inside, decoding = require_mask_or_all(mask, shape), decoding_of(encoded, transfer, bits)
-    maps = None if response.variation is None else leveller_of(response, shape).maps
-    light = FrameLight(np.ascontiguousarray(encoded), decoding.table, None, decoding.white, maps)
-    options = options or InversionOptions()
-    c = coefficients_from_rig(response, camera, options.relative_albedo, options.darkest)
-    noise_deg, turns, constants = _judged(light, inside, None, c, residual_deg, blur_px, residual_of_pixels)
-    inversion = coefficients_from_response(response, options)
-    limits = np.array([inversion.darkest, inversion.clipped_factor, decoding.white], np.float32)
-    normals, valid = np.empty((*shape, 3), np.float32), np.empty(shape, np.bool_)
-    error, weight = np.empty(shape, np.float32), np.empty(shape, np.float32)
-    clipped = np.zeros(shape[0], np.int64)
-    out = (rows_of(normals), valid, error, weight, clipped)
-    image = rows_of(light.image)
-    _normals_and_errors_kernel(image, decoding.table, maps, inside, turns, constants, limits, out)
-    found = NormalMap(
-        normals_in_camera=normals,
-        mask=valid,
-        weight=weight,
-        error_deg=error,
-        noise_deg=noise_deg,
-    )
-    return found, float(clipped.sum()) / max(1, shape[0] * shape[1])
+    pairs = _pairs_of_lights(response)
+    largest = np.radians(_LARGEST_DEG) ** 2
+    bound = np.where(labels == ALL_LIT, np.float32(0), largest)
+    two: Mask = found.mask & np.asarray(pairs.any(axis=1))[labels]
+    across, missing = np.hsplit(pairs[labels[two]], 2)
+    normals = found.normals_in_camera[two]
+    # M⁻¹(r − a) says in the plane of the two lights what the normal is, and nothing across it
+    seen = np.float32(over_albedo) * scaled[two]
+    seen -= _dot(seen, across)[:, None] * across
+    off, plane = _dot(normals, across), _dot(seen, seen)
+    moved = plane + plane**2 / (np.abs(1 - plane) + 2 * _ALBEDO_SPREAD * plane + SHORTEST)
+    height = np.where(off > 0, 1, -1) * np.sqrt(np.maximum(1 - plane, 0))
+    seen += height[:, None] * across
+    seen /= np.maximum(np.linalg.norm(seen, axis=1, keepdims=True), SHORTEST)
+    squared = np.square(seen - normals).sum(axis=1)
+    behind = (_dot(seen, missing) < 0) & (_dot(normals, missing) < 0)
+    other_faces = normals[:, 2] - 2 * off * across[:, 2] < 0  # the camera
+    squared += np.where(~behind & other_faces, 4 * off**2, 0)
+    known = squared < 8  # no NaN
+    square = _OF_TWO_LIGHTS**2 * squared + (NINE_OF_TEN * _ALBEDO_SPREAD) ** 2 * moved
+    bound[two] = np.where(known, np.maximum(square, SHORTEST), largest)
+    return bound
 
 
-def _judged(
-    light: FrameLight, mask: Mask, labels: VisibilityLabels | None, c: Coefficients, residual_deg: float,
-    blur_px: float, of_pixels: bool,
-) -> tuple[Any, Any, Any]:  # fmt: skip
-    """Return the noise by cells, in degrees as the bounds are, what `evidence_row` reads, and constants.
-
-    Constants, (28,): M⁻¹, the ambient light, the squared bound that all pixels share, and of `fit_ellipsoid`
-    all but the last.
-    """
-    noise, seen, rows, ellipsoid = evidence_of_frame(light, mask, labels, c, blur_px)
-    residual = (_OF_RESIDUAL * max(residual_deg, 0.0)) ** 2
-    if of_pixels and seen.any():
-        residual = max(residual - float(_PER_NOISE * np.median(noise[seen > 0])), 0.0)
-    fixed = residual + (np.degrees(_OF_ELLIPSOID) * ellipsoid[15]) ** 2
-    constants = np.concatenate([c.inverse.ravel(), c.ambient, (fixed,), ellipsoid[:15]])
-    return np.sqrt(_PER_NOISE * noise), rows, constants.astype(np.float32)
-
-
-# Compiled loops. A table of None stands for linear light: numba drops the branches for another. Rows are
-# flat slices, whose loops begin at 0: only such loops are done eight pixels at a time.
-
-
-@njit(cache=True, fastmath=FLAGS, error_model="numpy")
-def _bound_row(
-    r: Any, g: Any, b: Any, unlit: Any, turns: Any, inside: Any, k: Any, at: Any, length: Any, bound: Any,
-    weight: Any,
-) -> None:  # fmt: skip
-    """Turn a row of colours into unit normals, in place, and fill their length, their bound and its weight.
-
-    unlit: squared bound of pixels that not all lights reach, else 0. turns: variances, of noise and of lost
-    relief. at: `brightness_at` of the first pixel.
-    """
-    zero, half, one, nine = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(9.0)
-    i00, i01, i02, i10, i11, i12, i20, i21, i22 = k[0], k[1], k[2], k[3], k[4], k[5], k[6], k[7], k[8]
-    a0, a1, a2, fixed, inverse_albedo = k[9], k[10], k[11], k[12], k[13]
-    e00, e01, e02, e11, e12, e22 = k[14], k[15], k[16], k[17], k[18], k[19]
-    f0, f1, f2, usual, told = at[0], at[1], at[2], k[26], k[27]
-    for u in range(len(r)):  # without a branch: eight pixels at a time
-        red, green, blue = r[u] - a0, g[u] - a1, b[u] - a2
-        x = i00 * red + i01 * green + i02 * blue
-        y = i10 * red + i11 * green + i12 * blue
-        z = i20 * red + i21 * green + i22 * blue
-        size = np.sqrt(x * x + y * y + z * z)
-        seen = (size > SHORTEST) & (size < LONGEST)
-        scale = one / size if seen else one
-        x, y, z = x * scale, y * scale, z * scale
-        t0 = e00 * x + e01 * y + e02 * z
-        t1 = e01 * x + e11 * y + e12 * z
-        t2 = e02 * x + e12 * y + e22 * z
-        along = t0 * x + t1 * y + t2 * z
-        turn = max(t0 * t0 + t1 * t1 + t2 * t2 - along * along, zero)
-        foretold = max(along + f0 + np.float32(u) * (f1 + np.float32(u) * f2), LEAST_FACING)
-        measured = max(size * inverse_albedo, SHORTEST)
-        departure = abs(measured * measured - foretold * foretold) / (measured * foretold) * half
-        departure = min(departure * departure, one)  # squared sinh of the log length
-        # as robust fits weigh: next to nothing within three standard deviations, all of it far beyond
-        own = departure * departure / (departure + nine * (usual + turns[u]) + SHORTEST)
-        own = own if unlit[u] == zero else zero
-        total = fixed + _PER_TURN * told * turn + _PER_NOISE * turns[u] + _PER_DEPARTURE * own + unlit[u]
-        angle = min(np.sqrt(total), _LARGEST_DEG) if size > SHORTEST else _LARGEST_DEG
-        share = angle * _PER_HALF_WEIGHT
-        bound[u] = angle if inside[u] else zero
-        weight[u] = one / (one + share * share) if inside[u] else zero
-        r[u], g[u], b[u], length[u] = x, y, z, size
-
-
-@njit(cache=True, parallel=True, fastmath=FLAGS, error_model="numpy")
-def _error_kernel(
-    rgb: Any, normals: Any, mask: Mask, labels: Any, pairs: Any, turns: Any, constants: Any, error: Any,
-    weight: Any,
-) -> None:  # fmt: skip
-    """Fill (h, w) with the bound in degrees and its weight; 0 outside the mask.
-
-    normals: (h, 3 w), found. pairs: of `_pairs_of_lights`.
-    """
-    for v in prange(len(mask)):
-        error[v, :] = np.float32(0.0)
-        weight[v, :] = np.float32(0.0)
-        first, last = span_of(mask[v])
-        if first == last:
-            continue
-        count = last - first
-        r, g, b = np.empty(count, np.float32), np.empty(count, np.float32), np.empty(count, np.float32)
-        length, unlit = np.empty(count, np.float32), np.zeros(count, np.float32)
-        row_turns = np.empty(count, np.float32)
-        evidence_row(turns, np.int64(v), first, row_turns)
-        read_row(rgb[v, 3 * first : 3 * last], None, r, g, b)
-        if labels is not None:
-            found = normals[v, 3 * first : 3 * last]
-            _unlit_row(r, g, b, found, labels[v, first:last], pairs, constants, unlit)
-        at = brightness_at(mask.shape, constants[13:], first, v)
-        _bound_row(
-            r, g, b, unlit, row_turns, mask[v, first:last], constants, at, length, error[v, first:last],
-            weight[v, first:last],
-        )  # fmt: skip
-
-
-@njit(cache=True, fastmath=FLAGS, error_model="numpy")
-def _unlit_row(
-    r: Any, g: Any, b: Any, normals: Any, label: Any, pairs: Any, k: Any, unlit: Any
-) -> None:  # fmt: skip
-    """Fill the squared bounds of a row of pixels that not all lights reach, 0 of the others."""
-    zero, one, two = np.float32(0.0), np.float32(1.0), np.float32(2.0)
-    for u in range(len(label)):
-        if label[u] == ALL_LIT:
-            unlit[u] = zero
-            continue
-        pair = pairs[label[u]]
-        a0, a1, a2, l0, l1, l2 = pair[0], pair[1], pair[2], pair[3], pair[4], pair[5]
-        if l0 * l0 + l1 * l1 + l2 * l2 == zero:
-            unlit[u] = _LARGEST_DEG * _LARGEST_DEG
-            continue
-        n0, n1, n2 = normals[3 * u], normals[3 * u + 1], normals[3 * u + 2]
-        red, green, blue, scale = r[u] - k[9], g[u] - k[10], b[u] - k[11], k[13]
-        # M⁻¹(r − a) says in the plane of the two lights what the normal is, and nothing across it
-        x = scale * (k[0] * red + k[1] * green + k[2] * blue)
-        y = scale * (k[3] * red + k[4] * green + k[5] * blue)
-        z = scale * (k[6] * red + k[7] * green + k[8] * blue)
-        across = x * a0 + y * a1 + z * a2
-        x, y, z = x - across * a0, y - across * a1, z - across * a2
-        off = n0 * a0 + n1 * a1 + n2 * a2
-        plane = x * x + y * y + z * z
-        moved = plane + plane * plane / (abs(one - plane) + two * _ALBEDO_SPREAD * plane + SHORTEST)
-        height = np.sqrt(max(one - plane, zero))
-        height = height if off > zero else -height
-        x, y, z = x + height * a0, y + height * a1, z + height * a2
-        size = max(np.sqrt(x * x + y * y + z * z), SHORTEST)
-        x, y, z = x / size, y / size, z / size
-        squared = (x - n0) * (x - n0) + (y - n1) * (y - n1) + (z - n2) * (z - n2)
-        behind = (x * l0 + y * l1 + z * l2 < zero) & (n0 * l0 + n1 * l1 + n2 * l2 < zero)
-        if not behind and n2 - (off + off) * a2 < zero:  # the other normal faces the camera
-            squared += np.float32(4.0) * off * off
-        known = squared < np.float32(8.0)  # no NaN
-        bound = _PER_DISTANCE * squared + _PER_NOISE * _ALBEDO_SPREAD * _ALBEDO_SPREAD * moved
-        unlit[u] = max(bound, SHORTEST) if known else _LARGEST_DEG * _LARGEST_DEG
-
-
-@njit(cache=True, parallel=True, fastmath=FLAGS, error_model="numpy")
-def _normals_and_errors_kernel(
-    encoded: Any, table: Any, maps: Any, mask: Mask, turns: Any, constants: Any, limits: Any, out: Any
-) -> None:
-    """Fill normals (h, w, 3), valid, the bound in degrees and its weight (h, w), and clipped pixels a row."""
-    height, width = mask.shape
-    normals, valid, error, weight, clipped = out  # numba drops stores through a tuple's field inside prange
-    darkest, clipped_factor, white, zero = limits[0], limits[1], limits[2], np.float32(0.0)
-    for v in prange(height):
-        r, g, b = np.empty(width, np.float32), np.empty(width, np.float32), np.empty(width, np.float32)
-        length, row_turns = np.empty(width, np.float32), np.empty(width, np.float32)
-        unlit, good = np.zeros(width, np.float32), np.empty(width, np.bool_)
-        evidence_row(turns, np.int64(v), 0, row_turns)
-        read_row(encoded[v], table, r, g, b)
-        count = 0
-        for u in range(width):
-            largest = max(r[u], g[u])
-            top = max(largest, b[u]) >= white
-            count += top
-            good[u] = mask[v, u] & ((not top) | (clipped_factor > zero))
-        clipped[v] = count
-        if maps is not None:
-            map_row(maps, np.int64(v), 0, r, g, b)
-        at = brightness_at(mask.shape, constants[13:], 0, v)
-        _bound_row(r, g, b, unlit, row_turns, good, constants, at, length, error[v], weight[v])
-        to_error, to_weight, to_valid, to_normals = error[v], weight[v], valid[v], normals[v]
-        for u in range(width):
-            kept = good[u] & (length[u] > darkest) & (length[u] < LONGEST) & (b[u] < zero)
-            to_valid[u] = kept
-            to_error[u] = to_error[u] if kept else zero
-            to_weight[u] = to_weight[u] if kept else zero
-            r[u], g[u], b[u] = r[u] if kept else zero, g[u] if kept else zero, b[u] if kept else zero
-        for u in range(width):
-            to_normals[3 * u] = r[u]
-            to_normals[3 * u + 1] = g[u]
-            to_normals[3 * u + 2] = b[u]
+def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
+    return np.asarray(np.sum(a * b, axis=-1))

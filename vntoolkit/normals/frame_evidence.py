@@ -17,40 +17,37 @@
 """
 
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 import cv2
 import numpy as np
-from numba import prange
+from scipy import ndimage
 
-from vntoolkit.arrays import FloatArray, Mask, VisibilityLabels
+from vntoolkit.arrays import Float32Array, FloatArray, Mask, VisibilityLabels
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import NOISE_CELL_PX
-from vntoolkit.native import njit
-from vntoolkit.normals.inversion import read_row, rows_of
-from vntoolkit.normals.lost_detail import LEAST_BLUR_PX, detail_kernel, lost_over_left, side_of_squares
-from vntoolkit.photometry.frame import ALL_LIT
-from vntoolkit.photometry.levelling import FLAGS, map_row, span_of
-from vntoolkit.photometry.response import LightResponse
+from vntoolkit.normals.lost_detail import LEAST_BLUR_PX, detail_left, lost_over_left, side_of_squares
+from vntoolkit.photometry.frame import ALL_LIT, LinearFrame
+from vntoolkit.photometry.response import LightResponse, scaled_normals_from_rgb
 from vntoolkit.threads import one_blas_thread
 
 SHORTEST, LONGEST = np.float32(1e-6), np.float32(1e18)  # lengths whose squares float32 holds
 LEAST_FACING = np.float32(0.1)
 _CELL = NOISE_CELL_PX  # noise changes slowly: one row of every cell tells it
+_AROUND = np.array([0.5, 1.0, 1.0, 1.0, 0.5], np.float32)  # shares of the pixels of a side
 _LOOP_PX = 2  # half a side of the larger squares: a codec's noise is alike over 4 pixels, its smallest blocks
 # Standard deviations over a cell's median size. White noise of variance 1 adds up to 4 (1/4 + 3 + 1/4) around
 # a square: the pixels at its corners count half. Of 16 squares that overlap the median, squared, is 1.166
 # times that of many that do not.
-_PER_MEDIAN = np.float32(1.4826 / math.sqrt(14.0 * 1.166))
-_PER_SMALL = np.float32(1.4826 / math.sqrt(2.0 * 1.112))  # the same around squares of one pixel
-_OF_ALIKE = np.float32(
-    14.0 / 64.0
-)  # of what is alike along a side of 4 pixels: 16 for each side, not 14 for all
+_PER_MEDIAN = 1.4826 / math.sqrt(14.0 * 1.166)
+_PER_SMALL = 1.4826 / math.sqrt(2.0 * 1.112)  # the same around squares of one pixel
+_OF_ALIKE = 14.0 / 64.0  # of what is alike along a side of 4 pixels: 16 for each side, not 14 for all
 _EDGE_PX = 4  # from the subject's edge, which blur mixes with what lies behind
 _LEAST_LIGHT, _GRID_PIXELS = 0.3, 4000  # of the length that a fiftieth exceeds, over a grid of pixels
 _SAMPLES = 1000
 _MOST_PER_KNOWN = 20  # places of the grid that are looked at for a sample
 _ROUNDS = 4
+_WITHIN = 2.25  # spreads: a grazing tail pulls no more, and normal errors are used to five sixths
 _GRID = 2.0**-16  # of log lengths that are fitted: finer than any bound, far coarser than their rounding
 _ELLIPSOID_SPREAD = 0.05  # prior standard deviation of E's entries …
 _FALLOFF_SPREAD = 0.1  # … and of the slow change of brightness over the image
@@ -64,78 +61,129 @@ _OF_EQUAL_ENTRIES[[0, 1], [1, 0]] = -1 / 3
 _INDEPENDENT = 100  # of the samples: neighbours share their errors
 
 
-class FrameLight(NamedTuple):
-    """Where light is read: linear (h, w, 3), or stored integers with the linear value of each.
-
-    clipped: (h, w) of linear light; stored light is clipped from `white` on. maps: of these colours to those
-    that the M of the picture's centre forms, or None where they are so.
-    """
-
-    image: Any
-    table: Any
-    clipped: Any
-    white: np.float32
-    maps: Any
-
-
-class Coefficients(NamedTuple):
-    """What the loops need to know, float32.
-
-    inverse: M⁻¹ at the centre, (3, 3). ambient: (3,). rays: (6,), an affine map from a pixel to its ray.
-    darkest: length of M⁻¹(r − a) below which a pixel is black.
-    """
-
-    inverse: Any
-    ambient: Any
-    rays: Any
-    darkest: np.float32
-
-
-def coefficients_from_rig(
-    response: LightResponse, camera: Camera | None, relative_albedo: float = 1.0, darkest: float = 1e-6
-) -> Coefficients:
-    """Return what the loops need of M, the camera and the brightness that M belongs to."""
-    rays = np.zeros(6)
-    if camera is not None and camera.is_perspective:
-        inverse = np.linalg.inv(camera.matrix[:2, :2])
-        rays = np.column_stack([inverse, -inverse @ camera.matrix[:2, 2]]).ravel()
-    return Coefficients(
-        inverse=(response.inverse / relative_albedo).astype(np.float32),
-        ambient=response.ambient.astype(np.float32),
-        rays=rays.astype(np.float32),
-        darkest=np.float32(darkest),
-    )
-
-
 def evidence_of_frame(
-    light: FrameLight, mask: Mask, labels: VisibilityLabels | None, c: Coefficients, blur_px: float
-) -> tuple[Any, Any, Any, Any]:
-    """Return noise, where it was seen, what `evidence_row` reads, and the ellipsoid.
+    frame: LinearFrame,
+    mask: Mask,
+    labels: VisibilityLabels | None,
+    response: LightResponse,
+    camera: Camera | None,
+    blur_px: float,
+) -> tuple[Float32Array, Float32Array, Float32Array, FloatArray]:
+    """Return noise, where it was seen, how far noise and lost relief turn normals, and the ellipsoid.
 
-    Noise: (⌈h/16⌉, ⌈w/16⌉), radians²; seen: the same, 0 where neighbours tell it. Rows: (⌈h/16⌉, w), noise
-    and lost relief, radians². Ellipsoid: see `fit_ellipsoid`.
+    response: one M. Noise: (⌈h/16⌉, ⌈w/16⌉), radians²; seen: the same, 0 where neighbours tell it. Turns:
+    (h, w), radians². Ellipsoid: see `fit_ellipsoid`.
     """
     height, width = mask.shape
     cells = (-(-height // _CELL), -(-width // _CELL))
-    found = np.zeros((2, *cells), np.float32)
-    c = c._replace(darkest=np.float32(_least_length(light.image, light.table, mask, c)))
+    least = _least_length(frame, mask, response)
     lit = mask if labels is None else mask & (labels == ALL_LIT)  # a shadow's normals belong to no surface
-    _curl_kernel(rows_of(light.image), light.table, light.maps, lit, c, found)
+    found = _noise_of_cells(frame, lit, response, camera, least, cells)
     noise = _means_of_cells(found)
-    turns = noise
     known = int(found[1].sum()) * _CELL
     step = max(1, int(math.sqrt(max(known, mask.size // _MOST_PER_KNOWN) // _SAMPLES)))
-    samples = np.empty((5, -(-height // step) * -(-width // step)))
-    count = _samples_kernel(*light, mask, labels, c, step, samples)
-    ellipsoid = fit_ellipsoid(samples[:, :count], (height, width))
+    ellipsoid = fit_ellipsoid(_samples(frame, lit, response, least, step), (height, width))
+    turns = noise
     if blur_px >= LEAST_BLUR_PX:
-        side, left = side_of_squares(blur_px), np.zeros((3, *cells), np.float32)
-        detail_kernel(
-            rows_of(light.image), *light[1:], mask, labels, c.inverse, c.ambient, np.float32(ellipsoid[0]),
-            side, left,
-        )  # fmt: skip
+        side = side_of_squares(blur_px)
+        left = detail_left(frame.rgb, lit & ~frame.clipped, response, ellipsoid[0], side)
         turns = noise + np.float32(lost_over_left(left, blur_px, side)) * _means_of_cells(left[:2])
-    return noise, found[1], _along_rows(turns, width), ellipsoid
+    size = (_CELL * cells[1], _CELL * cells[0])
+    turns = cv2.resize(turns, size, interpolation=cv2.INTER_LINEAR)[:height, :width]
+    return noise, found[1], np.asarray(turns, np.float32), ellipsoid
+
+
+def _least_length(frame: LinearFrame, mask: Mask, response: LightResponse) -> float:
+    """Return the length of M⁻¹(r − a) below which a pixel is backdrop, hair, or another paint."""
+    step = max(1, int(math.sqrt(mask.size // _GRID_PIXELS)))
+    grid = (slice(step // 2, None, step),) * 2
+    squares = _lit_squares(scaled_normals_from_rgb(frame.rgb[grid], response))[mask[grid]]
+    ordered = np.sort(squares[squares > 0])
+    if not ordered.size:
+        return float(SHORTEST)
+    brightest = math.sqrt(min(ordered[-1 - ordered.size // 50], LONGEST))
+    return max(float(SHORTEST), _LEAST_LIGHT * brightest)
+
+
+def _lit_squares(scaled: Float32Array) -> Float32Array:
+    """Squared lengths of M⁻¹(r − a) (..., 3), 0 where it faces away."""
+    return np.asarray(np.where(scaled[..., 2] < 0, np.square(scaled).sum(axis=-1), 0.0), np.float32)
+
+
+def _samples(frame: LinearFrame, lit: Mask, response: LightResponse, least: float, step: int) -> FloatArray:
+    """Return (5, n) M⁻¹(r − a) and the place u, v of the pixels of a grid that are lit all around."""
+    h, w = lit.shape
+    v, u = (each.ravel() for each in np.mgrid[step // 2 : h : step, step // 2 : w : step])
+    inner = (v >= 2) & (u >= 2) & (v < h - 2) & (u < w - 2)
+    v, u = v[inner], u[inner]
+    v, u = v[lit[v, u]], u[lit[v, u]]
+    sound, mean = np.ones(len(v), np.bool_), np.zeros((len(v), 3), np.float32)
+    for far_v, far_u in ((-_EDGE_PX, 0), (_EDGE_PX, 0), (0, -_EDGE_PX), (0, _EDGE_PX)):
+        beside = frame.rgb[np.clip(v + far_v, 0, h - 1), np.clip(u + far_u, 0, w - 1)]
+        sound &= _lit_squares(scaled_normals_from_rgb(beside, response)) > least**2  # no backdrop
+    for near_v in (v - 2, v, v + 2):  # a mean of nine has less noise
+        for near_u in (u - 2, u, u + 2):
+            rgb = frame.rgb[near_v, near_u]
+            sound &= lit[near_v, near_u] & ~frame.clipped[near_v, near_u]
+            sound &= _lit_squares(scaled_normals_from_rgb(rgb, response)) > least**2
+            mean += rgb / np.float32(9)
+    scaled = scaled_normals_from_rgb(mean, response)
+    square = _lit_squares(scaled)
+    sound &= (square > least**2) & (square < LONGEST)
+    return np.vstack([scaled[sound].T, u[sound], v[sound]]).astype(np.float64)
+
+
+def _noise_of_cells(
+    frame: LinearFrame,
+    lit: Mask,
+    response: LightResponse,
+    camera: Camera | None,
+    least: float,
+    cells: tuple[int, int],
+) -> Float32Array:
+    """Sum up variances of noise, radians², and their places, along the middle of cells: (2, ⌈h/16⌉, ⌈w/16⌉).
+
+    They follow from the median circulations around squares of 4 pixels and of one. A turn by ε moves the
+    slope by ε / cos² along the inclination and ε / cos across: a circulation counts by cos^1.5.
+    """
+    found, (h, w) = np.zeros((2, *cells), np.float32), lit.shape
+    middle = np.minimum(np.arange(cells[0]) * _CELL + _CELL // 2 - 1, h - 1 - _LOOP_PX)
+    if h <= 2 * _LOOP_PX or w <= 2 * _LOOP_PX:
+        return found
+    v = middle[:, None] + np.arange(-_LOOP_PX, _LOOP_PX + 1)
+    n = np.moveaxis(scaled_normals_from_rgb(frame.rgb[v], response), -1, 0)
+    length = np.sqrt(np.square(n).sum(axis=0))
+    good = lit[v] & (length > least) & (length < LONGEST) & (n[2] < 0)
+    towards = -n[2]
+    if camera is not None and camera.is_perspective:
+        inverse = np.linalg.inv(camera.matrix[:2, :2])
+        x, y = np.moveaxis(
+            (np.dstack(np.meshgrid(np.arange(w), v)) - camera.matrix[:2, 2]) @ inverse.T, -1, 0
+        )
+        towards = towards - (n[0] * x.reshape(*v.shape, w) + n[1] * y.reshape(*v.shape, w)).astype(np.float32)
+    over = np.where(good, length, np.float32(1))
+    facing = np.maximum(towards / over, LEAST_FACING)
+    p, q = (n[:2] / (over * facing)) * good
+    inner = slice(_LOOP_PX, w - _LOOP_PX)
+    along = ndimage.correlate1d(p[:, -1] - p[:, 0], _AROUND, axis=1)[:, inner]
+    down = np.tensordot(q, _AROUND, axes=(1, 0))
+    large = along - (down[:, 2 * _LOOP_PX :] - down[:, : -2 * _LOOP_PX])
+    along, down = p[:, _LOOP_PX + 1] - p[:, _LOOP_PX], q[:, _LOOP_PX + 1] + q[:, _LOOP_PX]
+    small = 0.5 * (along[:, :-1] + along[:, 1:] - (down[:, 1:] - down[:, :-1]))[:, _LOOP_PX : 1 - _LOOP_PX]
+    seen = np.lib.stride_tricks.sliding_window_view(good.all(axis=1), 2 * _LOOP_PX + 1, axis=1).all(axis=-1)
+    medians = []
+    for sizes in (large, small):
+        padded = np.full((cells[0], cells[1] * _CELL), np.inf, np.float32)
+        padded[:, inner] = np.where(seen, np.abs(sizes) * facing[:, _LOOP_PX, inner] ** 1.5, np.inf)
+        ordered = np.sort(padded.reshape(*cells, _CELL), axis=2)
+        count = np.isfinite(ordered).sum(axis=2)
+        low, high = (np.maximum(at, 0)[..., None] // 2 for at in (count - 1, count))
+        pair = np.take_along_axis(ordered, np.concatenate([low, high], axis=2), axis=2)
+        medians.append(np.where(count > 0, pair.mean(axis=2), 0.0))
+    single = np.square(_PER_SMALL * medians[1])
+    alike = _OF_ALIKE * np.maximum(np.square(_PER_MEDIAN * medians[0]) - single, 0.0)
+    found[0], found[1] = count * np.minimum(single + alike, 1.0), count
+    return found
 
 
 def _means_of_cells(found: Any) -> Any:
@@ -146,12 +194,6 @@ def _means_of_cells(found: Any) -> Any:
         known = count > 0.5  # sums of whole numbers that slide
         mean[known] = np.maximum(total[known], 0.0) / count[known]
     return mean
-
-
-def _along_rows(cells: Any, width: int) -> Any:
-    """Return (rows of cells, w), interpolated between the centres of the cells of a row."""
-    height, across = cells.shape
-    return cv2.resize(cells, (across * _CELL, height), interpolation=cv2.INTER_LINEAR)[:, :width]
 
 
 @one_blas_thread()
@@ -186,7 +228,7 @@ def fit_ellipsoid(samples: FloatArray, shape: tuple[int, int]) -> FloatArray:
         best = np.linalg.solve(information, weighted @ logs)
         left = np.abs(logs - best @ design)
         spread = 1.48 * np.median(left) + 1e-3
-        worth = 1.0 / (1.0 + (left / (2 * spread)) ** 2)
+        worth = 1.0 / (1.0 + (left / (_WITHIN * spread)) ** 2) ** 2  # Geman and McClure's
     best = _rounded(best)  # sums in another order differ in the last bits
     e00, e11, e01, e02, e12 = best[1:6]
     found[:7] = np.exp(-best[0]), e00, e01, e02, e11, e12, -e00 - e11
@@ -207,246 +249,3 @@ def fit_ellipsoid(samples: FloatArray, shape: tuple[int, int]) -> FloatArray:
 
 def _rounded(values: Any) -> Any:
     return np.floor(np.asarray(values) / _GRID + 0.5) * _GRID
-
-
-# Compiled loops. A table of None stands for linear light: numba drops the branches for another. Rows are
-# flat slices, whose loops begin at 0: only such loops are done eight pixels at a time.
-
-
-@njit(cache=True, fastmath=FLAGS, error_model="numpy")
-def _least_length(image: Any, table: Any, mask: Mask, c: Coefficients) -> np.float32:
-    """Return the length of M⁻¹(r − a) below which a pixel is backdrop, hair, or another paint."""
-    step = max(1, int(math.sqrt(mask.size // _GRID_PIXELS)))
-    squares, count = np.empty(-(-mask.shape[0] // step) * -(-mask.shape[1] // step), np.float32), 0
-    for v in range(step // 2, mask.shape[0], step):
-        for u in range(step // 2, mask.shape[1], step):
-            square = _light_at(image, table, c, v, u)[3]
-            if mask[v, u] and square > 0:
-                squares[count] = square
-                count += 1
-    if not count:
-        return c.darkest
-    ordered = np.sort(squares[:count])
-    brightest = np.sqrt(min(ordered[count - 1 - count // 50], LONGEST))
-    return max(c.darkest, np.float32(_LEAST_LIGHT) * brightest)
-
-
-@njit(cache=True, fastmath=FLAGS, error_model="numpy")
-def _light_at(image: Any, table: Any, c: Coefficients, v: int, u: int) -> tuple[Any, Any, Any, Any]:
-    """Return r − a of a pixel, and the squared length of M⁻¹(r − a), 0 where it faces away."""
-    pixel, inverse, ambient = image[v, u], c.inverse, c.ambient
-    if table is None:
-        r, g, b = pixel[0], pixel[1], pixel[2]
-    else:
-        r, g, b = table[pixel[0]], table[pixel[1]], table[pixel[2]]
-    r, g, b = r - ambient[0], g - ambient[1], b - ambient[2]
-    x = inverse[0, 0] * r + inverse[0, 1] * g + inverse[0, 2] * b
-    y = inverse[1, 0] * r + inverse[1, 1] * g + inverse[1, 2] * b
-    z = inverse[2, 0] * r + inverse[2, 1] * g + inverse[2, 2] * b
-    return r, g, b, x * x + y * y + z * z if z < 0 else np.float32(0.0)
-
-
-@njit(cache=True, fastmath=FLAGS, error_model="numpy")
-def _samples_kernel(
-    image: Any, table: Any, clipped: Any, white: Any, maps: Any, mask: Mask, labels: Any, c: Coefficients,
-    step: int, samples: Any,
-) -> int:  # fmt: skip
-    """Fill (5, n) with M⁻¹(r − a) and the place u, v on a grid; return how many are lit all around."""
-    height, width = mask.shape
-    mean = np.empty((3, 1), np.float32)
-    inverse, ambient = c.inverse, c.ambient
-    count, least = 0, c.darkest * c.darkest
-    for v in range(step // 2, height, step):
-        for u in range(step // 2, width, step):
-            if v < 2 or u < 2 or v >= height - 2 or u >= width - 2 or not mask[v, u]:
-                continue
-            r, g, b, sound = np.float32(0), np.float32(0), np.float32(0), True
-            for far_v, far_u in ((-_EDGE_PX, 0), (_EDGE_PX, 0), (0, -_EDGE_PX), (0, _EDGE_PX)):
-                at_v, at_u = min(max(v + far_v, 0), height - 1), min(max(u + far_u, 0), width - 1)
-                sound &= _light_at(image, table, c, at_v, at_u)[3] > least  # no backdrop
-            for near_v in range(v - 2, v + 3, 2):  # a mean of nine has less noise
-                for near_u in range(u - 2, u + 3, 2):
-                    red, green, blue, square = _light_at(image, table, c, near_v, near_u)
-                    sound &= mask[near_v, near_u] and square > least
-                    if labels is not None:
-                        sound &= labels[near_v, near_u] == ALL_LIT
-                    if clipped is None:
-                        sound &= max(red + ambient[0], green + ambient[1], blue + ambient[2]) < white
-                    else:
-                        sound &= not clipped[near_v, near_u]
-                    r, g, b = r + red, g + green, b + blue
-            ninth = np.float32(1 / 9)
-            mean[0, 0], mean[1, 0] = r * ninth + ambient[0], g * ninth + ambient[1]
-            mean[2, 0] = b * ninth + ambient[2]
-            if maps is not None:
-                map_row(maps, v, u, mean[0], mean[1], mean[2])
-            r, g, b = mean[0, 0] - ambient[0], mean[1, 0] - ambient[1], mean[2, 0] - ambient[2]
-            x = inverse[0, 0] * r + inverse[0, 1] * g + inverse[0, 2] * b
-            y = inverse[1, 0] * r + inverse[1, 1] * g + inverse[1, 2] * b
-            z = inverse[2, 0] * r + inverse[2, 1] * g + inverse[2, 2] * b
-            length = np.sqrt(x * x + y * y + z * z)
-            if sound and z < 0 and length > c.darkest and length < LONGEST:
-                samples[0, count], samples[1, count], samples[2, count] = x, y, z
-                samples[3, count], samples[4, count] = u, v
-                count += 1
-    return count
-
-
-@njit(cache=True, fastmath=FLAGS, error_model="numpy")
-def _slopes_row(
-    line: Any, table: Any, maps: Any, inside: Any, c: Coefficients, v: int, first: int, p: Any, q: Any,
-    known: Any,
-) -> None:  # fmt: skip
-    """Put in the slopes p, q of the colours' own normals, and cos^1.5 of their inclination; 0 for no normal.
-
-    A turn by ε moves the slope by ε / cos² along the inclination and ε / cos across. v, first: the place of
-    the first pixel.
-    """
-    read_row(line, table, p, q, known)
-    if maps is not None:
-        map_row(maps, v, first, p, q, known)
-    inverse, ambient, rays, one = c.inverse, c.ambient, c.rays, np.float32(1.0)
-    i00, i01, i02 = inverse[0, 0], inverse[0, 1], inverse[0, 2]
-    i10, i11, i12 = inverse[1, 0], inverse[1, 1], inverse[1, 2]
-    i20, i21, i22 = inverse[2, 0], inverse[2, 1], inverse[2, 2]
-    a0, a1, a2 = ambient[0], ambient[1], ambient[2]
-    to_x, to_y = rays[0], rays[3]
-    at_x = to_x * np.float32(first) + rays[1] * np.float32(v) + rays[2]
-    at_y = to_y * np.float32(first) + rays[4] * np.float32(v) + rays[5]
-    for u in range(len(p)):
-        r, g, b = p[u] - a0, q[u] - a1, known[u] - a2
-        x, y, z = i00 * r + i01 * g + i02 * b, i10 * r + i11 * g + i12 * b, i20 * r + i21 * g + i22 * b
-        length = np.sqrt(x * x + y * y + z * z)
-        good = inside[u] & (length > c.darkest) & (length < LONGEST) & (z < np.float32(0.0))
-        scale = one / length if good else one
-        ray_x, ray_y = to_x * np.float32(u) + at_x, to_y * np.float32(u) + at_y
-        facing = max(-(x * ray_x + y * ray_y + z) * scale, LEAST_FACING)
-        over = scale / facing
-        p[u] = x * over
-        q[u] = y * over
-        known[u] = facing * np.sqrt(facing) if good else np.float32(0.0)
-
-
-@njit(cache=True, parallel=True, fastmath=FLAGS, error_model="numpy")
-def _curl_kernel(image: Any, table: Any, maps: Any, mask: Mask, c: Coefficients, found: Any) -> None:
-    """Sum up the squared circulation, as an angle in radians, and its places, along the middle of cells."""
-    width = mask.shape[1]
-    for cell in prange(found.shape[1]):
-        v = min(cell * _CELL + _CELL // 2 - 1, mask.shape[0] - 1 - _LOOP_PX)
-        if v >= _LOOP_PX:
-            sizes, small = np.empty(width, np.float32), np.empty(width, np.float32)
-            places = np.zeros(width, np.bool_)
-            _curl_row(image, table, maps, mask, c, v, sizes, small, places)
-            _squares_of_cells(sizes, small, places, found[0, cell], found[1, cell])
-
-
-@njit(cache=True, fastmath=FLAGS, error_model="numpy")
-def _curl_row(
-    image: Any, table: Any, maps: Any, mask: Mask, c: Coefficients, v: int, found: Any, small: Any,
-    places: Any,
-) -> None:  # fmt: skip
-    """Fill the sizes of the circulation around squares of 4 pixels and of one, and where both are known."""
-    width, zero, half, one = mask.shape[1], np.float32(0.0), np.float32(0.5), np.float32(1.0)
-    first, last = span_of(mask[v])
-    # one array each, whose slices have no stride: eight pixels at a time
-    p, q, known = np.zeros(width, np.float32), np.zeros(width, np.float32), np.zeros(width, np.float32)
-    down, right = np.zeros(width, np.float32), np.zeros(width, np.float32)
-    all_known, here = np.ones(width, np.float32), np.empty(width, np.float32)
-    under, across = np.zeros(width, np.float32), np.zeros(width, np.float32)
-    for step in range(-_LOOP_PX, _LOOP_PX + 1):
-        _slopes_row(
-            image[v + step, 3 * first : 3 * last], table, maps, mask[v + step, first:last], c, v + step,
-            first, p[first:last], q[first:last], known[first:last],
-        )  # fmt: skip
-        is_end = abs(step) == _LOOP_PX
-        share, sign = half if is_end else one, one if step > 0 else -one
-        for u in range(width):
-            right[u] += share * q[u]
-            all_known[u] = min(all_known[u], known[u])
-        if is_end:
-            for u in range(width):
-                down[u] += sign * p[u]
-        if step == 0 or step == 1:
-            sign = one if step else -one
-            for u in range(width):
-                under[u] += sign * p[u]
-                across[u] += q[u]
-        if step == 0:
-            here[:] = known
-    inner = width - 2 * _LOOP_PX
-    if inner < 1:
-        return
-    around, good = np.zeros(inner, np.float32), np.ones(inner, np.float32)
-    for i in range(2 * _LOOP_PX + 1):
-        along, whole_known = down[i : i + inner], all_known[i : i + inner]
-        share = half if i == 0 or i == 2 * _LOOP_PX else one
-        for u in range(inner):
-            around[u] += share * along[u]
-            good[u] = min(good[u], whole_known[u])
-    q_before, q_after = right[:inner], right[2 * _LOOP_PX :]
-    to_found, to_places = found[_LOOP_PX : _LOOP_PX + inner], places[_LOOP_PX : _LOOP_PX + inner]
-    of_here, to_small = here[_LOOP_PX : _LOOP_PX + inner], small[_LOOP_PX : _LOOP_PX + inner]
-    p_here, p_next = under[_LOOP_PX : _LOOP_PX + inner], under[_LOOP_PX + 1 : _LOOP_PX + 1 + inner]
-    q_here, q_next = across[_LOOP_PX : _LOOP_PX + inner], across[_LOOP_PX + 1 : _LOOP_PX + 1 + inner]
-    for u in range(inner):
-        to_found[u] = abs(around[u] - (q_after[u] - q_before[u])) * of_here[u]
-        to_small[u] = half * abs(p_here[u] + p_next[u] - (q_next[u] - q_here[u])) * of_here[u]
-        to_places[u] = good[u] > zero
-
-
-@njit(cache=True)
-def _median_of(values: Any, count: int) -> np.float32:
-    """Sort the first of a few values in place; return their median."""
-    for i in range(1, count):
-        value, at = values[i], i
-        while at > 0 and values[at - 1] > value:
-            values[at] = values[at - 1]
-            at -= 1
-        values[at] = value
-    return np.float32(0.5) * (values[(count - 1) // 2] + values[count // 2])
-
-
-@njit(cache=True)
-def _squares_of_cells(sizes: Any, small: Any, places: Any, sums: Any, counts: Any) -> None:
-    """Fill every cell's sum of variances of noise, by the median circulations, and their number."""
-    of_cell, of_small = np.empty(_CELL, np.float32), np.empty(_CELL, np.float32)
-    for cell in range(len(sums)):
-        count = 0
-        for u in range(cell * _CELL, min((cell + 1) * _CELL, len(sizes))):
-            if places[u]:
-                of_cell[count], of_small[count] = sizes[u], small[u]
-                count += 1
-        if count:
-            single = (_PER_SMALL * _median_of(of_small, count)) ** 2
-            alike = _OF_ALIKE * max((_PER_MEDIAN * _median_of(of_cell, count)) ** 2 - single, np.float32(0.0))
-            counts[cell] = np.float32(count)
-            sums[cell] = counts[cell] * min(single + alike, np.float32(1.0))
-
-
-@njit(cache=True, fastmath=FLAGS, error_model="numpy")
-def evidence_row(turns: Any, v: int, first: int, row: Any) -> None:
-    """Fill (n,) from pixel `first` on, between the rows of cells; linear too."""
-    y = max((np.float32(v) + np.float32(0.5)) / np.float32(_CELL) - np.float32(0.5), np.float32(0.0))
-    last = len(turns) - 1
-    up = min(int(y), last)
-    t, one = y - np.float32(up), np.float32(1.0)
-    above, below = turns[up, first:], turns[min(up + 1, last), first:]
-    for u in range(len(row)):
-        row[u] = (one - t) * above[u] + t * below[u]
-
-
-@njit(cache=True, fastmath=FLAGS, error_model="numpy")
-def brightness_at(shape: Any, ellipsoid: Any, u: int, v: int) -> tuple[Any, Any, Any]:
-    """Return 1 + f of `fit_ellipsoid` at a pixel, and what it grows by with u and with u²."""
-    half, two, one = np.float32(0.5), np.float32(2.0), np.float32(1.0)
-    right, down = np.float32(u) - half * (shape[1] - 1), np.float32(v) - half * (shape[0] - 1)
-    f0, f1, f2, f3, f4, f5 = (
-        ellipsoid[7],
-        ellipsoid[8],
-        ellipsoid[9],
-        ellipsoid[10],
-        ellipsoid[11],
-        ellipsoid[12],
-    )
-    here = one + f0 + f1 * right + f2 * down + f3 * right**2 + f4 * down**2 + f5 * right * down
-    return here, f1 + two * f3 * right + f5 * down, f3

@@ -5,26 +5,19 @@ the normal; the length, set against the albedo that is expected, tells how far t
 shadow, gloss and another paint all change it.
 """
 
-from typing import Any, NamedTuple
-
 import numpy as np
-from numba import prange
 
-from vntoolkit.arrays import Array, Mask
-from vntoolkit.checks import checks_kinds, require_mask, require_shape
+from vntoolkit.arrays import Float32Array, Mask
+from vntoolkit.checks import checks_kinds, require_mask
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import NormalMap
-from vntoolkit.native import njit
 from vntoolkit.options.normals import InversionOptions
 from vntoolkit.photometry.frame import LinearFrame
-from vntoolkit.photometry.levelling import FLAGS, leveller_of, map_row, span_of
+from vntoolkit.photometry.levelling import leveller_of
 from vntoolkit.photometry.response import LightResponse, scaled_normals_from_rgb
-from vntoolkit.photometry.transfer import Transfer, decoding_table
 
 _LONGEST = np.float32(1e18)  # squares beyond it overflow float32: treated as not finite
-_ZERO = np.float32(0)
-_ONE = np.float32(1)
 
 
 @checks_kinds
@@ -43,8 +36,7 @@ def normals_from_frame(
     weight is 1 where the albedo is as expected and 1/2 where it is off by `albedo_tolerance`.
     """
     inside = require_mask_or_all(mask, frame.shape)
-    clipped = np.ascontiguousarray(frame.clipped)
-    found = _inverted(np.ascontiguousarray(frame.rgb), None, clipped, inside, response, options)
+    found = _normalised(frame, _scaled_normals(frame, response), inside, options or InversionOptions())
     return found if camera is None else _towards(found, camera)
 
 
@@ -58,28 +50,9 @@ def _towards(normal_map: NormalMap, camera: Camera) -> NormalMap:
     rays = camera.points_from_depth(np.ones(normal_map.shape))
     kept = normal_map.mask & ((normal_map.normals_in_camera * rays).sum(axis=2) < 0)
     normals = np.where(kept[..., None], normal_map.normals_in_camera, np.float32(0))
-    assert normal_map.weight is not None  # every map of these loops has one
+    assert normal_map.weight is not None
     weight = np.where(kept, normal_map.weight, np.float32(0))
     return NormalMap(normals_in_camera=normals, mask=kept, weight=weight)
-
-
-@checks_kinds
-def normals_from_encoded(
-    encoded: Array,
-    response: LightResponse,
-    transfer: Transfer,
-    mask: Mask | None = None,
-    options: InversionOptions | None = None,
-    bits: int | None = None,
-) -> NormalMap:
-    """Decode and invert in one pass: `normals_from_frame` of stored uint8 or uint16 samples (h, w, 3), RGB.
-
-    transfer: the capture's curve and levels. bits: significant bits of a sample, default all. A sample at or
-    above the white level is clipped.
-    """
-    inside = require_mask_or_all(mask, require_encoded(encoded))
-    decoding = decoding_of(encoded, transfer, bits)
-    return _inverted(np.ascontiguousarray(encoded), decoding, None, inside, response, options)
 
 
 @checks_kinds
@@ -92,64 +65,14 @@ def relative_albedo_from_frame(
     no pixel is.
     """
     inside = require_mask_or_all(mask, frame.shape) & ~frame.clipped
-    if response.variation is None:  # of every frame: an array a step would take most of its time
-        lengths = _lengths(frame.rgb, inside, response.inverse, response.ambient)
-    else:
-        inside &= (frame.rgb > response.ambient).any(axis=2)
-        v, u = np.nonzero(inside)
-        scaled = scaled_normals_from_rgb(frame.rgb[inside], response, np.stack([u, v], axis=-1))
-        lengths = np.linalg.norm(scaled, axis=1)
+    inside &= (frame.rgb > response.ambient).any(axis=2)
+    lengths = np.linalg.norm(_scaled_normals(frame, response)[inside], axis=1)
     lengths = lengths[np.isfinite(lengths)]
     if lengths.size:
         lengths = lengths[lengths > 0.1 * np.percentile(lengths, 99)]
     if not lengths.size:
         raise BadInput(f"frame {frame.number}: no lit pixel (all black or clipped) to measure the albedo on")
     return float(np.median(lengths))
-
-
-@njit(cache=True, error_model="numpy")
-def _lengths(rgb: Any, inside: Any, inverse: Any, ambient: Any) -> Any:
-    """(n,), lengths of M⁻¹(r − a) of the pixels inside that are brighter than the ambient light."""
-    found, count = np.empty(inside.size), 0
-    for v in range(inside.shape[0]):
-        for u in range(inside.shape[1]):
-            r, g, b = rgb[v, u, 0] - ambient[0], rgb[v, u, 1] - ambient[1], rgb[v, u, 2] - ambient[2]
-            if inside[v, u] and (r > 0.0 or g > 0.0 or b > 0.0):
-                x = inverse[0, 0] * r + inverse[0, 1] * g + inverse[0, 2] * b
-                y = inverse[1, 0] * r + inverse[1, 1] * g + inverse[1, 2] * b
-                z = inverse[2, 0] * r + inverse[2, 1] * g + inverse[2, 2] * b
-                found[count] = np.sqrt(x * x + y * y + z * z)
-                count += 1
-    return found[:count]
-
-
-def coefficients_from_response(response: LightResponse, options: InversionOptions | None) -> "Coefficients":
-    """What the loops need to know."""
-    options = options or InversionOptions()
-    inverse = response.inverse / options.relative_albedo
-    return Coefficients(
-        inverse=inverse.astype(np.float32),
-        offset=(inverse @ response.ambient).astype(np.float32),
-        darkest=np.float32(options.darkest),
-        sharpness=np.float32(0.5 / options.albedo_tolerance),
-        clipped_factor=np.float32(options.clipped_factor),
-    )
-
-
-def decoding_of(encoded: Array, transfer: Transfer, bits: int | None) -> "Decoding":
-    """Lay out the decoding of stored samples for the loops."""
-    storage_bits = encoded.dtype.itemsize * 8
-    table = decoding_table(transfer, bits or storage_bits, storage_bits)
-    white = (transfer.white_level - transfer.black_level) / (1.0 - transfer.black_level)
-    return Decoding(table=table, white=np.float32(white * (1.0 - 1e-6)))
-
-
-def require_encoded(encoded: Array) -> tuple[int, int]:
-    """Return the (h, w) of stored samples; raise `BadInput` for others than (h, w, 3) uint8 or uint16."""
-    if encoded.dtype not in (np.uint8, np.uint16):
-        raise BadInput(f"image: expected 8- or 16-bit samples, got {encoded.dtype}")
-    require_shape(encoded, (None, None, 3), "image")
-    return encoded.shape[0], encoded.shape[1]
 
 
 def require_mask_or_all(mask: Mask | None, shape: tuple[int, int]) -> Mask:
@@ -160,148 +83,25 @@ def require_mask_or_all(mask: Mask | None, shape: tuple[int, int]) -> Mask:
     return np.ascontiguousarray(mask)
 
 
-def _inverted(
-    image: Array, decoding: "Decoding | None", clipped: Mask | None, inside: Mask, response: LightResponse,
-    options: InversionOptions | None,
-) -> NormalMap:  # fmt: skip
-    """Return the normals of linear colours (h, w, 3) with their clipped pixels, or of stored ones."""
-    options = options or InversionOptions()
-    shape = inside.shape
-    maps = None if response.variation is None else leveller_of(response, shape).maps
-    out = Outputs(
-        normals=np.empty((*shape, 3), np.float32),
-        weight=np.empty(shape, np.float32),
-        valid=np.empty(shape, np.bool_),
-    )
-    table, white = (None, np.float32(0)) if decoding is None else decoding
-    c = coefficients_from_response(response, options)
-    flat = out._replace(normals=rows_of(out.normals))
-    _normals_kernel(rows_of(image), table, white, clipped, inside, maps, c, flat)
-    return NormalMap(normals_in_camera=out.normals, mask=out.valid, weight=out.weight)
+def _scaled_normals(frame: LinearFrame, response: LightResponse) -> Float32Array:
+    """(h, w, 3) M⁻¹(r − a); where M varies, of the frame as the M of the centre would have formed it."""
+    level = frame if response.variation is None else leveller_of(response, frame.shape).frame(frame)
+    return np.asarray(scaled_normals_from_rgb(level.rgb, response.central), np.float32)
 
 
-def rows_of(image: Array) -> Array:
-    """Return an image (h, w, 3) as rows (h, 3 w)."""
-    return image.reshape(len(image), -1)
-
-
-class Coefficients(NamedTuple):
-    """What the loops need to know, all float32.
-
-    inverse: M⁻¹ over the expected albedo, (3, 3). offset: the same times the ambient light, (3,). darkest:
-    smallest length of a pixel that has a normal. sharpness: 1 / (2 albedo tolerance). clipped_factor: on a
-    clipped pixel's weight.
-    """
-
-    inverse: Array
-    offset: Array
-    darkest: np.float32
-    sharpness: np.float32
-    clipped_factor: np.float32
-
-
-class Decoding(NamedTuple):
-    """table: linear float32 value of every stored integer. white: value from which a sample is clipped."""
-
-    table: Array
-    white: np.float32
-
-
-class Outputs(NamedTuple):
-    """normals (h, 3 w) float32, weight (h, w) float32, valid (h, w) bool: filled by the loop."""
-
-    normals: Array
-    weight: Array
-    valid: Array
-
-
-# Compiled loops: one pass over the image, row by row. A table of None stands for linear colours, maps of
-# None for one M all over the image: numba drops the branches for the other. Rows are flat slices, and what
-# every pixel shares is read before a loop: only such loops are done many pixels at a time.
-
-
-@njit(cache=True, parallel=True, fastmath=FLAGS, error_model="numpy")
-def _normals_kernel(
-    image: Array, table: Any, white: Any, clipped: Any, inside: Array, maps: Any, c: Coefficients,
-    out: Outputs,
-) -> None:  # fmt: skip
-    """Fill `out` from linear colours (h, 3 w), or from stored integers by a table, clipped at `white`."""
-    height, width = inside.shape
-    normals, weight, valid = out  # numba drops stores through a tuple's field inside prange
-    for v in prange(height):
-        first, last = span_of(inside[v])
-        count = last - first
-        x, y, z = np.empty(count, np.float32), np.empty(count, np.float32), np.empty(count, np.float32)
-        read_row(image[v, 3 * first : 3 * last], table, x, y, z)
-        top = np.empty(count, np.bool_)
-        _clipped_row(clipped, v, first, white, x, y, z, top)
-        if maps is not None:
-            map_row(maps, np.int64(v), first, x, y, z)
-        _mix_row(c, x, y, z)
-        for side in (slice(0, first), slice(last, width)):
-            weight[v, side], valid[v, side] = _ZERO, False
-        normals[v, : 3 * first], normals[v, 3 * last :] = _ZERO, _ZERO
-        _normalise_row(x, y, z, top, inside[v, first:last], c, weight[v, first:last], valid[v, first:last])
-        to = normals[v, 3 * first : 3 * last]
-        for u in range(count):
-            to[3 * u] = x[u]
-            to[3 * u + 1] = y[u]
-            to[3 * u + 2] = z[u]
-
-
-@njit(cache=True, fastmath=FLAGS, error_model="numpy")
-def read_row(line: Any, table: Any, r: Any, g: Any, b: Any) -> None:
-    """Fill three rows from one of colours, (3 w,): linear, or stored integers through a decoding table."""
-    for u in range(len(r)):
-        if table is None:
-            r[u], g[u], b[u] = line[3 * u], line[3 * u + 1], line[3 * u + 2]
-        else:
-            r[u], g[u], b[u] = table[line[3 * u]], table[line[3 * u + 1]], table[line[3 * u + 2]]
-
-
-@njit(cache=True, fastmath=FLAGS, error_model="numpy")
-def _clipped_row(
-    clipped: Any, v: int, first: int, white: Any, r: Array, g: Array, b: Array, top: Array
-) -> None:
-    """Fill a row, from pixel `first` on, with which colours are clipped: told by `clipped` (h, w), or from
-    `white` on.
-    """
-    for u in range(len(top)):
-        if clipped is None:
-            largest = max(r[u], g[u])  # of two at a time: numba makes SIMD of that
-            top[u] = max(largest, b[u]) >= white
-        else:
-            top[u] = clipped[v, first + u]
-
-
-@njit(cache=True, fastmath=FLAGS, error_model="numpy")
-def _mix_row(c: Coefficients, x: Array, y: Array, z: Array) -> None:
-    """Replace the colours in x, y, z by M⁻¹(r − a)."""
-    i00, i01, i02 = c.inverse[0, 0], c.inverse[0, 1], c.inverse[0, 2]
-    i10, i11, i12 = c.inverse[1, 0], c.inverse[1, 1], c.inverse[1, 2]
-    i20, i21, i22 = c.inverse[2, 0], c.inverse[2, 1], c.inverse[2, 2]
-    a, b, d = c.offset[0], c.offset[1], c.offset[2]
-    for u in range(len(x)):
-        red, green, blue = x[u], y[u], z[u]
-        x[u] = i00 * red + i01 * green + i02 * blue - a
-        y[u] = i10 * red + i11 * green + i12 * blue - b
-        z[u] = i20 * red + i21 * green + i22 * blue - d
-
-
-@njit(cache=True, fastmath=FLAGS, error_model="numpy")
-def _normalise_row(
-    x: Array, y: Array, z: Array, clipped: Array, inside: Array, c: Coefficients, weight: Array, valid: Array
-) -> None:
-    """Scale one row to unit length, with its weight; 0 where there is no normal."""
-    darkest, sharpness, clipped_factor = c.darkest, c.sharpness, c.clipped_factor
-    for u in range(len(x)):
-        length = np.sqrt(x[u] * x[u] + y[u] * y[u] + z[u] * z[u])
-        factor = clipped_factor if clipped[u] else _ONE
-        good = inside[u] & (length > darkest) & (length < _LONGEST) & (z[u] < _ZERO) & (factor > _ZERO)
-        scale = _ONE / length
-        departure = (length - scale) * sharpness  # near 1: the relative departure over the tolerance
-        weight[u] = factor / (_ONE + departure * departure) if good else _ZERO
-        x[u] = x[u] * scale if good else _ZERO
-        y[u] = y[u] * scale if good else _ZERO
-        z[u] = z[u] * scale if good else _ZERO
-        valid[u] = good
+def _normalised(
+    frame: LinearFrame, scaled: Float32Array, inside: Mask, options: InversionOptions
+) -> NormalMap:
+    """Scale M⁻¹(r − a) to unit length, with its weight; 0 where there is no normal."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        length = np.sqrt(np.einsum("vui,vui->vu", scaled, scaled)) / np.float32(options.relative_albedo)
+        valid = inside & (length > options.darkest) & (length < _LONGEST) & (scaled[..., 2] < 0)
+    if options.clipped_factor == 0.0:
+        valid &= ~frame.clipped
+    length = np.where(valid, length, np.float32(1))
+    over = np.where(valid, 1 / (length * np.float32(options.relative_albedo)), np.float32(0))
+    departure = (length - 1 / length) * np.float32(0.5 / options.albedo_tolerance)  # relative, near 1
+    weight = np.where(frame.clipped, np.float32(options.clipped_factor), np.float32(1))
+    weight *= valid / (1 + departure * departure)
+    normals = np.where(valid[..., None], scaled, np.float32(0)) * over[..., None]
+    return NormalMap(normals_in_camera=normals, mask=valid, weight=weight)

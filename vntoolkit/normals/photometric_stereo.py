@@ -8,21 +8,17 @@ by pixel; the rest is plain least squares.
 from dataclasses import dataclass
 
 import numpy as np
-from numba import prange
 
-from vntoolkit.arrays import Array, Float32Array, FloatArray, Mask, Points, read_only
+from vntoolkit.arrays import Array, BoolArray, Float32Array, FloatArray, Mask, Points, read_only
 from vntoolkit.checks import checks_kinds, require_finite, require_mask, require_shape
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.maps import NormalMap
-from vntoolkit.native import njit
 
 _FLATTEST_LIGHTS = 1e-3  # smallest over largest singular value: below it the lights lie in one plane
 fewest_lights = 3
 _SHADOW_SHARE = 0.1  # of a pixel's brightest sample: at most that, a sample is shadow
 _SATURATION = 1.0  # linear value from which a sample is clipped
-_OUTLIER_SHARE = (
-    0.05  # of the albedo: a sample further off the fit is gloss or cast shadow; the worst goes first
-)
+_OUTLIER_SHARE = 0.05  # of the albedo: a sample further off the fit is gloss or cast shadow; the worst goes
 _DARKEST = 0.01  # brightest sample, linear, below which a pixel has no normal
 _SMALLEST_DETERMINANT = 1e-6  # of the normal equations over the cube of their trace
 
@@ -55,11 +51,11 @@ def solve_photometric_stereo(images: FloatArray, lights: Points, mask: Mask | No
     lights = np.ascontiguousarray(lights, dtype=np.float64)
     stack = _require_images(images, lights)
     shape = stack.shape[1:]
-    inside = np.ones(shape, np.bool_) if mask is None else np.ascontiguousarray(mask)
+    inside = np.ones(shape, np.bool_) if mask is None else mask.copy()
     require_mask(inside, shape)
-    scaled = np.zeros((*shape, 3), np.float32)
-    used = np.zeros(shape, np.float32)
-    robust_normals_kernel(stack, lights, inside, scaled, used)
+    scaled, used = np.zeros((*shape, 3), np.float32), np.zeros(shape, np.float32)
+    inside &= stack.max(axis=0) > _DARKEST  # NaN ends here too
+    scaled[inside], used[inside] = _robust_normals(stack[:, inside].T, lights)
     albedo = np.linalg.norm(scaled, axis=-1)
     valid = (albedo > 0) & (scaled[..., 2] < 0)
     normals = np.divide(scaled, albedo[..., None], out=np.zeros_like(scaled), where=valid[..., None])
@@ -89,80 +85,35 @@ def _require_images(images: FloatArray, lights: Points) -> Array:
     return stack
 
 
-# Compiled loop: robust least squares at every pixel.
+def _robust_normals(samples: FloatArray, lights: Points) -> tuple[Points, FloatArray]:
+    """Return albedo × normal (n, 3), 0 where it is not told, and the share of the lights that count (n,).
 
-
-@njit(cache=True, error_model="numpy")
-def _least_squares(samples: Array, lights: Array, use: Array, solution: Array) -> bool:
-    """Solve the 3×3 normal equations over the samples in use; False where they are singular."""
-    a = b = c = d = e = f = x = y = z = 0.0
-    for k in range(len(samples)):
-        if use[k]:
-            lx, ly, lz, s = lights[k, 0], lights[k, 1], lights[k, 2], samples[k]
-            a += lx * lx
-            b += lx * ly
-            c += lx * lz
-            d += ly * ly
-            e += ly * lz
-            f += lz * lz
-            x += lx * s
-            y += ly * s
-            z += lz * s
-    p, q, r = d * f - e * e, c * e - b * f, b * e - c * d  # cofactors of the first row
-    determinant = a * p + b * q + c * r
-    trace = a + d + f
-    if not determinant > _SMALLEST_DETERMINANT * trace * trace * trace:
-        return False
-    solution[0] = (p * x + q * y + r * z) / determinant
-    solution[1] = (q * x + (a * f - c * c) * y + (b * c - a * e) * z) / determinant
-    solution[2] = (r * x + (b * c - a * e) * y + (a * d - b * b) * z) / determinant
-    return True
-
-
-@njit(cache=True, error_model="numpy")
-def _worst_sample(samples: Array, lights: Array, use: Array, solution: Array) -> int:
-    """Index of the sample in use that departs most from the fit, or −1 if all agree with it."""
-    albedo = np.sqrt(solution[0] ** 2 + solution[1] ** 2 + solution[2] ** 2)
-    worst, largest = -1, _OUTLIER_SHARE * albedo
-    for k in range(len(samples)):
-        if use[k]:
-            strength = np.sqrt(lights[k, 0] ** 2 + lights[k, 1] ** 2 + lights[k, 2] ** 2)
-            predicted = lights[k, 0] * solution[0] + lights[k, 1] * solution[1] + lights[k, 2] * solution[2]
-            departure = abs(samples[k] - predicted) / strength
-            if departure > largest:
-                worst, largest = k, departure
-    return worst
-
-
-@njit(cache=True, parallel=True, error_model="numpy")
-def robust_normals_kernel(images: Array, lights: Array, inside: Array, scaled: Array, used: Array) -> None:
-    """Fill scaled (h, w, 3) with albedo × normal and used (h, w) with the share of the lights that count.
-
-    images: (k, h, w) float32. lights: (k, 3).
+    samples: (n, k). The sample that departs most from the fit goes, one at a time, while more are left than a
+    fit needs; the last sound fit stands.
     """
-    count, height, width = images.shape
-    for v in prange(height):
-        samples, use, solution = np.empty(count), np.empty(count, np.bool_), np.empty(3)
-        for u in range(width):
-            if not inside[v, u]:
-                continue
-            samples[:] = images[:, v, u]
-            brightest = np.max(samples)
-            if not brightest > _DARKEST:  # NaN ends here too
-                continue
-            left = 0
-            for k in range(count):
-                use[k] = _SHADOW_SHARE * brightest < samples[k] < _SATURATION
-                left += use[k]
-            solved = left >= fewest_lights and _least_squares(samples, lights, use, solution)
-            while solved and left > fewest_lights:
-                worst = _worst_sample(samples, lights, use, solution)
-                if worst < 0:
-                    break
-                use[worst] = False
-                left -= 1
-                if not _least_squares(samples, lights, use, solution):
-                    break  # the last sound solution stands
-            if solved:
-                scaled[v, u] = solution
-                used[v, u] = left / count
+    use = (samples > _SHADOW_SHARE * samples.max(axis=1, keepdims=True)) & (samples < _SATURATION)
+    scaled, solved = _least_squares(samples, lights, use)
+    scaled[~solved] = 0.0
+    left = np.flatnonzero(solved)
+    strengths = np.linalg.norm(lights, axis=1)
+    while left.size:
+        departures = use[left] * np.abs(samples[left] - scaled[left] @ lights.T) / strengths
+        worst = departures.argmax(axis=1)
+        off = departures.max(axis=1) > _OUTLIER_SHARE * np.linalg.norm(scaled[left], axis=1)
+        off &= use[left].sum(axis=1) > fewest_lights
+        left, worst = left[off], worst[off]
+        use[left, worst] = False
+        found, solved = _least_squares(samples[left], lights, use[left])
+        left = left[solved]
+        scaled[left] = found[solved]
+    return scaled, use.mean(axis=1)
+
+
+def _least_squares(samples: FloatArray, lights: Points, use: BoolArray) -> tuple[Points, BoolArray]:
+    """Solve the normal equations (n, 3) over the samples (n, k) in use; whether they are regular, (n,)."""
+    matrix = np.einsum("nk,ki,kj->nij", use, lights, lights, optimize=True)
+    trace = np.trace(matrix, axis1=1, axis2=2)
+    regular = np.linalg.det(matrix) > _SMALLEST_DETERMINANT * trace**3
+    regular &= use.sum(axis=1) >= fewest_lights
+    matrix[~regular] = np.eye(3)
+    return np.linalg.solve(matrix, ((use * samples) @ lights)[..., None])[..., 0], regular

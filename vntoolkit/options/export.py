@@ -1,5 +1,6 @@
 """Formats, axes and units of exported files."""
 
+import math
 from dataclasses import dataclass
 from enum import Enum
 from typing import Literal, TypeAlias
@@ -77,9 +78,28 @@ class ExportFormat(Enum):
     NPZ = "npz"  # arrays: one file a frame, and one of a registered surface
     DILIGENT = "diligent"  # one folder a frame, laid out like the benchmark's
     PNG = "png"  # 16-bit normal maps
+    HEIGHTS = "heights"  # a 16-bit picture of heights a frame, and its scale
+    LOCAL_SHAPE = "local-shape"  # heights without longer wavelengths, an EXR and a picture a frame
+    CURVATURE = "curvature"  # mean and Gaussian, an EXR and a picture a frame
+    PROFILE = "profile"  # heights along a line, a CSV and a picture a frame
+    ROUGHNESS = "roughness"  # ISO 25178's height parameters, a JSON a frame
+    SUR = "sur"  # heights, of Digital Surf's programs
+    X3P = "x3p"  # heights, of ISO 25178-72
 
 
-ExportFormatName: TypeAlias = Literal["ply", "obj", "usd", "glb", "points", "npz", "diligent", "png"]
+ExportFormatName: TypeAlias = Literal[
+    "ply", "obj", "usd", "glb", "points", "npz", "diligent", "png",
+    "heights", "local-shape", "curvature", "profile", "roughness", "sur", "x3p",
+]  # fmt: skip
+INSPECTED = (
+    ExportFormat.HEIGHTS,
+    ExportFormat.LOCAL_SHAPE,
+    ExportFormat.CURVATURE,
+    ExportFormat.PROFILE,
+    ExportFormat.ROUGHNESS,
+    ExportFormat.SUR,
+    ExportFormat.X3P,
+)
 
 
 class ExportedSurface(Enum):
@@ -114,7 +134,8 @@ class ExportOptions(Options):
     """The format. usd: one animated file (set the frame rate of Blender's scene to the capture's, since
     Blender keeps its own). glb: one animated file of a registered surface, else one a frame. ply, obj: a mesh
     a frame. points: a point cloud a frame as .ply, of all pixels with a depth. npz: arrays. png: 16-bit
-    normal maps. diligent: a folder a frame, laid out like the benchmark's."""
+    normal maps. diligent: a folder a frame, laid out like the benchmark's. heights, local-shape, curvature,
+    profile, roughness, sur, x3p: for inspection, see the guide."""
     normal_convention: Named[NormalConvention, NormalConventionName] = named(NormalConvention.OPENGL)
     """Axes of normal maps (png, npz, diligent)."""
     units: Named[FileUnit | None, Literal["m", "cm", "mm"] | None] = named(None)
@@ -130,6 +151,13 @@ class ExportOptions(Options):
     centre: bool = True
     """Move the registered surface so that its template stands above the origin, its hem on the floor; the
     file's camera is where it was, seen from there."""
+    longest: float | None = None
+    """For inspection: wavelengths above this are removed, so that the form goes and the relief stays (the L
+    filter of ISO 25178). In millimetres; in pixels where the result has no scale."""
+    shortest: float | None = None
+    """For inspection: wavelengths below this are removed, so that noise goes (the S filter)."""
+    line: tuple[float, float, float, float] | None = None
+    """For --to profile: column and row of the first pixel, then of the last."""
     cleaning: CleanOptions | None = None
     """What is cleaned of the frames' meshes; None for nothing."""
 
@@ -140,5 +168,28 @@ class ExportOptions(Options):
             self.up is not MeshUpAxis.Y or self.units not in (None, FileUnit.M)
         ):
             raise BadInput("a GLB has metres and y up by its standard: leave out --units and --up")
+        self._require_inspectable()
         if self.cleaning is not None and self.to not in _OF_MESHES:
             raise BadInput(f"cleaning is for meshes, and {self.to.value} has none: leave out --clean")
+
+    def _require_inspectable(self) -> None:
+        asked = (self.longest, self.shortest, self.line)
+        if self.to not in INSPECTED:
+            if asked != (None, None, None):
+                raise BadInput(
+                    f"{self.to.value}: longest, shortest and line are for inspection; leave them out"
+                )
+            return
+        if self.units is not None:
+            raise BadInput(f"{self.to.value}: its lengths are millimetres, or pixels; leave out --units")
+        for name, length in (("longest", self.longest), ("shortest", self.shortest)):
+            if length is not None and not 0 < length < math.inf:
+                raise BadInput(f"{name}: expected a positive wavelength, got {length:g}")
+        if self.longest is not None and self.shortest is not None and self.longest <= self.shortest:
+            raise BadInput("longest: expected a longer wavelength than --shortest")
+        if self.to is ExportFormat.LOCAL_SHAPE and self.longest is None:
+            raise BadInput("local-shape: expected --longest, the wavelength above which relief is removed")
+        if self.to is ExportFormat.CURVATURE and self.longest is not None:
+            raise BadInput("curvature: a form is not removed from it; leave out --longest")
+        if (self.to is ExportFormat.PROFILE) != (self.line is not None):
+            raise BadInput("--line COLUMN ROW COLUMN ROW and --to profile belong together")

@@ -41,6 +41,10 @@ class LinearFrame(Displayed):
             )
         rgb = given.astype(np.float32, copy=False)
         require_shape(rgb, (None, None, 3), "frame")
+        if not np.isfinite(rgb.sum(dtype=np.float64)):
+            raise BadInput(
+                "frame: expected finite light, got NaN or infinity: mask those pixels, and store 0"
+            )
         clipped = rgb.max(axis=2, initial=0.0) >= 1.0 if self.clipped is None else np.asarray(self.clipped)
         require_shape(clipped, rgb.shape[:2], "clipped mask")
         if clipped.dtype != np.bool_:

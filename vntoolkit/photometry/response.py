@@ -189,11 +189,13 @@ def scaled_normals_from_rgb(
 ) -> FloatArray:
     """Equation 1 solved for the normal times the relative albedo: M⁻¹(r − a), (..., 3).
 
-    rgb: (..., 3). positions_px: (..., 2), which only a response that varies over the image needs; default:
-    the pixels of an image (h, w, 3).
+    rgb: (..., 3), whose precision counts. positions_px: (..., 2), which only a response that varies over the
+    image needs; default: the pixels of an image (h, w, 3).
     """
     if response.variation is None:
-        return np.asarray((rgb - response.ambient) @ response.inverse.T)
+        kind = np.result_type(rgb, np.float32)
+        with np.errstate(invalid="ignore", over="ignore"):  # colours that are not finite stay so
+            return np.asarray((rgb - response.ambient.astype(kind)) @ response.inverse.T.astype(kind))
     matrices, ambients = response.at(_positions(positions_px, rgb))
     return np.asarray(np.linalg.solve(matrices, (rgb - ambients)[..., None])[..., 0])
 

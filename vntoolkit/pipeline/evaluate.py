@@ -32,15 +32,15 @@ from vntoolkit.io.maps_and_meshes.arrays import map_npy, read_npz
 from vntoolkit.io.maps_and_meshes.maps import read_normal_map
 from vntoolkit.io.maps_and_meshes.masks import read_mask
 from vntoolkit.io.maps_and_meshes.meshes import read_mesh
+from vntoolkit.io.maps_and_meshes.stored_normals import SUFFIXES, read_stored_normals
 from vntoolkit.io.rigs import read_rig
 from vntoolkit.options.depth import IntegrationOptions, Integrator
 from vntoolkit.options.export import NormalConvention
-from vntoolkit.pipeline.integrate_normals import read_camera_matrix
+from vntoolkit.pipeline.integrate_normals import read_camera_matrix, settled_convention
 from vntoolkit.pipeline.opened_result import OpenedResult
 from vntoolkit.pipeline.simulate import SimulationFolder
 from vntoolkit.pipeline.tracked_folder import read_tracks
 
-_SUFFIXES = (".exr", ".png", ".tif", ".tiff")
 logger = logging.getLogger(__name__)
 _SEED = 0  # the same folder gives the same numbers
 TEAR_STEEPNESS = 1.0
@@ -117,10 +117,20 @@ def compare_normal_files(
 def _angle_maps(
     pairs: list[NormalPair], conventions: tuple[NormalConvention | None, NormalConvention | None]
 ) -> Iterator[tuple[str, FloatArray, Mask]]:
+    """Axes and encoding are settled on the first map of each side."""
+    flags = ("--measured-convention", "--reference-convention")
+    settled: list[NormalConvention] = []
     for name, *paths in pairs:
-        maps = [read_normal_map(path, convention=c) for path, c in zip(paths, conventions, strict=True)]
-        for path, normal_map in zip(paths, maps, strict=True):
-            warn_of_flipped_axes(path, normal_map)
+        found = [read_stored_normals(path) for path in paths]
+        settled = settled or [
+            settled_convention(*each) for each in zip(found, conventions, paths, flags, strict=True)
+        ]
+        maps = [
+            NormalMap(
+                normals_in_camera=stored.vectors * np.array(convention.signs, np.float32), mask=stored.mask
+            )
+            for stored, convention in zip(found, settled, strict=True)
+        ]
         try:
             angles, both = angular_error.angular_error_map(*maps)
         except BadInput as problem:
@@ -130,7 +140,7 @@ def _angle_maps(
 
 def _maps_in(folder: Path) -> dict[str, Path]:
     inner = next((folder / part for part in ("normals", "truth/normals") if (folder / part).is_dir()), folder)
-    files = sorted(path for path in inner.iterdir() if path.suffix.lower() in _SUFFIXES)
+    files = sorted(path for path in inner.iterdir() if path.suffix.lower() in SUFFIXES)
     return {path.stem: path for path in files}
 
 

@@ -21,7 +21,7 @@ from vntoolkit.io.conventions import graphics_from_camera
 from vntoolkit.io.maps_and_meshes.maps import write_normal_map
 from vntoolkit.io.maps_and_meshes.texture import SurfaceTexture
 from vntoolkit.io.results.folder import FolderKind, begin_run, read_lock, write_lock
-from vntoolkit.options.export import ExportedSurface, ExportFormat, ExportOptions, FileUnit
+from vntoolkit.options.export import INSPECTED, ExportedSurface, ExportFormat, ExportOptions, FileUnit
 from vntoolkit.pipeline.opened_result import OpenedResult, read_result
 from vntoolkit.pipeline.options import option_values
 from vntoolkit.pipeline.texture_files import texture_of_tracks, with_captured_colours
@@ -216,7 +216,9 @@ EXPORT = FolderKind(
     holds="an export",
     record="export.json",
     files=("track.npz", _MATERIAL, "surface_albedo.png", "surface_normal.png"),
-    frames={".": (".ply", ".obj", ".glb", ".npz", ".png")},  # whatever the format of the earlier one
+    frames={
+        ".": (".ply", ".obj", ".glb", ".npz", ".png", ".exr", ".csv", ".json", ".sur", ".x3p")
+    },  # whatever the format of the earlier one
     clear_frame=_remove_frame_folder,
 )
 
@@ -264,6 +266,15 @@ def numbers_with_mesh(result: OpenedResult, track: Tracks | None) -> tuple[int, 
     if not found:
         root = result.folder.root
         raise BadInput(f"{root}: holds no mesh of those frames; run `vntoolkit reconstruct --to mesh`")
+    return found
+
+
+def numbers_with_depth(result: OpenedResult) -> tuple[int, ...]:
+    """Return the opened frames that have a depth; raise for none."""
+    found = tuple(number for number in result.numbers if result.folder.has(number, "depth"))
+    if not found:
+        root = result.folder.root
+        raise BadInput(f"{root}: holds no depth of those frames; run `vntoolkit reconstruct --to depth`")
     return found
 
 
@@ -396,11 +407,7 @@ class _PointClouds(FrameExport):
     suffix = ".ply"
 
     def numbers(self) -> tuple[int, ...]:
-        found = tuple(n for n in self.result.numbers if self.result.folder.has(n, "depth"))
-        if not found:
-            root = self.result.folder.root
-            raise BadInput(f"{root}: holds no depth of those frames; run `vntoolkit reconstruct --to depth`")
-        return found
+        return numbers_with_depth(self.result)
 
     def sources(self, number: int) -> list[Path]:
         return [self.result.folder.file(kind, number) for kind in ("normals", "depth")]
@@ -498,6 +505,10 @@ def frame_export(result: OpenedResult, track: Tracks | None, options: ExportOpti
         ExportFormat.PNG: _NormalMaps,
         ExportFormat.DILIGENT: _Diligent,
     }
+    if options.to in INSPECTED:
+        from vntoolkit.pipeline.export_inspection import inspection_of
+
+        return inspection_of(result, track, options)
     return kinds.get(options.to, _Meshes)(result, track, options)
 
 

@@ -224,15 +224,23 @@ def _begun(
     asked: IntegrateArguments, source: NormalSource, stored: StoredNormals, mask_file: Path | None
 ) -> _FrameIntegrator:
     """Settle camera and convention on the first map, and say what was found."""
-    for note in stored.notes:
-        logger.warning("%s: %s", asked.source, note)
     if mask_file is not None and asked.mask is None:
         logger.warning("%s: masked by %s beside it", asked.source, mask_file.name)
-    convention = asked.convention or stored.convention
+    convention = settled_convention(stored, asked.convention, asked.source, "--convention")
+    return _FrameIntegrator(asked, _camera_of(asked, source, stored.mask.shape), convention)
+
+
+def settled_convention(
+    stored: StoredNormals, given: NormalConvention | None, name: Path | str, flag: str
+) -> NormalConvention:
+    """Return the axes of a map: given, stated by its file, or the likeliest; say what was assumed."""
+    for note in stored.notes:
+        logger.warning("%s: %s", name, note)
+    convention = given or stored.convention
     if convention is None:
         convention, why = likeliest_convention(stored.vectors, stored.mask)
-        logger.warning("%s: read as %s (%s); --convention decides", asked.source, convention.value, why)
-    return _FrameIntegrator(asked, _camera_of(asked, source, stored.mask.shape), convention)
+        logger.warning("%s: read as %s (%s); %s decides", name, convention.value, why, flag)
+    return convention
 
 
 def _camera_of(asked: IntegrateArguments, source: NormalSource, shape: tuple[int, ...]) -> Camera:

@@ -37,46 +37,52 @@ def prepare(request: Request, footage: Footage, numbers: Sequence[int]) -> Known
     Raises `FatalFinding` for what ruins normals, `BadInput` for a reference frame that is not there and for
     materials that cannot be told, `BadCapture` where no frame shows a subject.
     """
-    options, rig = request.effective_options, request.rig
     numbers, steps = _surveyed(request, footage, numbers)
     found: dict[str, object] = {"reference_frame": _reference_frame(request, footage, numbers)}
+    options, rig = request.effective_options, request.rig
     examined = _examined(request, rig, footage, numbers)
     _judge(request, examined, fatal_alone=seeks_materials(rig, options))
-    rig, lamps_in_words = _with_found_lamps(request, footage, numbers)
-    if rig is not request.rig:
-        colours, doubts_deg = rig.response.light_colours, rig.response.light_doubts_deg
-        assert colours is not None
-        assert doubts_deg is not None
-        found |= {"light_colours": colours.tolist(), "light_doubts_deg": doubts_deg.tolist()}
-    materials: list[MaterialEntry] = []
-    seen, seeks = None, seeks_materials(rig, options)
-    if not request.is_of_gel:
-        from vntoolkit.pipeline.rig_material import measured_brightness
+    if request.is_of_gel:
+        return _known(found, steps, examined)
+    from vntoolkit.pipeline.rig_material import measured_brightness
 
-        found["relative_albedo"], warn_of_other = measured_brightness(rig, options, footage, numbers)
+    rig, lamps_in_words = _with_found_lamps(request, footage, numbers)
+    found |= {} if rig is request.rig else _lamps_found(rig)
+    found["relative_albedo"], warn_of_other = measured_brightness(rig, options, footage, numbers)
+    seeks, seen = seeks_materials(rig, options), None
     if seeks:
-        from vntoolkit.pipeline.measured_materials import measured_materials
+        from vntoolkit.pipeline.measured_materials import measured_materials, refitted_materials
 
         materials, seen = measured_materials(rig, options, footage, numbers)
-    if materials:
-        told = None if seen is None else seen.state.statistics
-        examined = _examined(request, rig, footage, numbers, materials, told)
-    elif not request.is_of_gel:
+        found["materials"] = materials
+    if seen is None:
         warn_of_other(lamps_in_words)
+    else:
+        examined = _examined(request, rig, footage, numbers, materials, seen.state.statistics)
     if seeks:
         _judge(request, examined)
-    found |= {"blur_px": round(examined.blur_px, _DIGITS_OF_BLUR)}
-    if rig.response.variation is None and not request.is_of_gel:
-        found |= {"nearness": round(examined.nearness, _DIGITS_OF_NEARNESS)}
-    findings = entries_of([*steps, *examined.findings])
-    known = Known.model_validate(found | {"findings": findings, "materials": materials})
+    if rig.response.variation is None:
+        found["nearness"] = round(examined.nearness, _DIGITS_OF_NEARNESS)
+    known = _known(found, steps, examined)
     near = known.with_rig(request.rig)
     if seen is None or near.response.variation is None:
         return known
-    from vntoolkit.pipeline.measured_materials import refitted_materials
-
-    again = refitted_materials(near, options, materials, footage, numbers, seen)
+    again = refitted_materials(near, options, known.materials, footage, numbers, seen)
     return known.model_copy(update={"materials": again})
+
+
+def _known(found: dict[str, object], steps: Sequence[Finding], examined: "Examination") -> Known:
+    blur_px = round(examined.blur_px, _DIGITS_OF_BLUR)
+    findings = entries_of([*steps, *examined.findings])
+    return Known.model_validate(found | {"blur_px": blur_px, "findings": findings})
+
+
+def _lamps_found(rig: Rig) -> dict[str, object]:
+    """Return what shadows told of the lamps, as `Known` holds it."""
+    colours, doubts_deg = rig.response.light_colours, rig.response.light_doubts_deg
+    assert colours is not None
+    assert doubts_deg is not None
+    return {"light_colours": colours.tolist(), "light_doubts_deg": doubts_deg.tolist()}
 
 
 def _surveyed(

@@ -70,6 +70,17 @@ def write_cumulative_errors(
     pictures.write_figure(axes.figure, path)
 
 
+def write_profile(path: Path, table: Path) -> None:
+    """Draw the heights of a table of `export --to profile` over its distances; gaps stay gaps."""
+    names = table.read_text("utf-8").split("\n", 1)[0].split(",")
+    distances, heights = np.genfromtxt(table, delimiter=",", skip_header=1, ndmin=2, unpack=True)
+    labels = [name.replace("_", ", ") for name in names]
+    with pictures.new_axes(7.0, 2.8) as axes:
+        axes.plot(distances, heights)
+        axes.set(xlabel=labels[0], ylabel=labels[1], xlim=(distances[0], distances[-1]))
+    pictures.write_figure(axes.figure, path)
+
+
 def write_bars(
     path: Path | str, names: Sequence[str], groups: Mapping[str, Sequence[float]], title: str, unit: str
 ) -> None:

@@ -30,7 +30,7 @@ _DARKEST = np.float32(0.02)  # albedo
 _PAINT = np.float32(1.0)  # scale of the log albedo at a pixel, about that around: black hair on white skin
 _STRONGEST = np.float32(4.0)  # log odds: whatever they say, four neighbours together may say more
 _UNKNOWN_STRAY, _FEWEST_DARK = 0.02, 20  # mean cosine in shadow where fewer pixels tell it
-_BRIGHT = np.float32(20.0)  # scales of stray light: e⁻²⁰ of it is brighter, and no shadow is
+_BRIGHT = np.float32(12.0)  # scales of stray light: what is brighter outweighs any error of the surface
 
 
 def mean_dark_cosine(cosines: FloatArray, lit: BoolArray, mask: Mask) -> float:
@@ -40,7 +40,7 @@ def mean_dark_cosine(cosines: FloatArray, lit: BoolArray, mask: Mask) -> float:
     """
     dark = (~lit & mask[..., None]).astype(np.uint8)
     values = cosines[cv2.erode(dark, np.ones((3, 3), np.uint8)) > 0]
-    return max(float(values.mean()), 0.0) if len(values) >= _FEWEST_DARK else _UNKNOWN_STRAY
+    return float(np.maximum(values, 0.0).mean()) if len(values) >= _FEWEST_DARK else _UNKNOWN_STRAY
 
 
 def log_odds(

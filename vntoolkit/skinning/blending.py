@@ -3,14 +3,13 @@
 Dual quaternion skinning does not collapse at twisted joints.
 """
 
-import numba
 import numpy as np
+import scipy.sparse as sp
 from scipy.spatial.transform import Rotation
 
-from vntoolkit.arrays import FloatArray, Points
+from vntoolkit.arrays import FloatArray, IntArray, Points
 from vntoolkit.checks import require_shape
 from vntoolkit.geometry.rigid import RigidTransform
-from vntoolkit.native import njit
 from vntoolkit.options.dressing import Blend
 from vntoolkit.skinning.weights import SkinWeights
 
@@ -29,17 +28,15 @@ def skinned_vertices(
     """
     require_shape(vertices, (len(weights.weights), 3), "vertices to skin")
     posed_from_rest = posed_from_model @ _rigid_inverses(rest_from_model)
-    points = np.ascontiguousarray(vertices, dtype=np.float64)
     if blend is Blend.LINEAR:
-        return _linear(points, weights.joints, weights.weights, np.ascontiguousarray(posed_from_rest[:, :3]))
-    return _dual(points, weights.joints, weights.weights, dual_quaternions(posed_from_rest))
+        return _linear(vertices, weights, posed_from_rest)
+    return _dual(vertices, weights, dual_quaternions(posed_from_rest))
 
 
 def blended_vertices(vertices: Points, weights: SkinWeights, transforms: FloatArray) -> Points:
     """Return (n, 3): each vertex moved by the weighted mean of its bones' transforms, (j, 4, 4) affine."""
     require_shape(vertices, (len(weights.weights), 3), "vertices to skin")
-    points = np.ascontiguousarray(vertices, dtype=np.float64)
-    return _linear(points, weights.joints, weights.weights, np.ascontiguousarray(transforms[:, :3]))
+    return _linear(vertices, weights, transforms)
 
 
 def _rigid_inverses(matrices: FloatArray) -> FloatArray:
@@ -55,44 +52,24 @@ def dual_quaternions(transforms: FloatArray) -> FloatArray:
     return np.concatenate([real, dual_axis, dual_w], axis=1)
 
 
-@njit(cache=True, parallel=True)
-def _linear(vertices, joints, weights, transforms):  # type: ignore[no-untyped-def]
-    skinned = np.empty_like(vertices)
-    for v in numba.prange(len(vertices)):
-        x, y, z = vertices[v, 0], vertices[v, 1], vertices[v, 2]
-        for row in range(3):
-            total = 0.0
-            for k in range(joints.shape[1]):
-                m = transforms[joints[v, k], row]
-                total += weights[v, k] * (m[0] * x + m[1] * y + m[2] * z + m[3])
-            skinned[v, row] = total
-    return skinned
+def _linear(vertices: Points, weights: SkinWeights, transforms: FloatArray) -> Points:
+    mean = _means(weights.joints, weights.weights, transforms[:, :3].reshape(-1, 12)).reshape(-1, 3, 4)
+    return np.asarray(np.einsum("nij,nj->ni", mean[:, :, :3], vertices) + mean[:, :, 3], np.float64)
 
 
-@njit(cache=True, parallel=True)
-def _dual(vertices, joints, weights, quaternions):  # type: ignore[no-untyped-def]
-    skinned = np.empty_like(vertices)
-    for v in numba.prange(len(vertices)):
-        q = np.zeros(8)
-        first = quaternions[joints[v, 0]]  # the heaviest: the others are turned to its hemisphere
-        for k in range(joints.shape[1]):
-            other = quaternions[joints[v, k]]
-            side = first[0] * other[0] + first[1] * other[1] + first[2] * other[2] + first[3] * other[3]
-            weight = weights[v, k] if side >= 0.0 else -weights[v, k]
-            for c in range(8):
-                q[c] += weight * other[c]
-        length = np.sqrt(q[0] ** 2 + q[1] ** 2 + q[2] ** 2 + q[3] ** 2)
-        for c in range(8):
-            q[c] /= length
-        a, b, c, w = q[0], q[1], q[2], q[3]
-        x, y, z = vertices[v, 0], vertices[v, 1], vertices[v, 2]
-        # rotation: v + 2 r × (r × v + w v)
-        ix, iy, iz = b * z - c * y + w * x, c * x - a * z + w * y, a * y - b * x + w * z
-        # translation: 2 (w d − d_w r + r × d)
-        tx = 2.0 * (w * q[4] - q[7] * a + b * q[6] - c * q[5])
-        ty = 2.0 * (w * q[5] - q[7] * b + c * q[4] - a * q[6])
-        tz = 2.0 * (w * q[6] - q[7] * c + a * q[5] - b * q[4])
-        skinned[v, 0] = x + 2.0 * (b * iz - c * iy) + tx
-        skinned[v, 1] = y + 2.0 * (c * ix - a * iz) + ty
-        skinned[v, 2] = z + 2.0 * (a * iy - b * ix) + tz
-    return skinned
+def _dual(vertices: Points, weights: SkinWeights, quaternions: FloatArray) -> Points:
+    joints = weights.joints
+    alike = np.einsum("ni,nki->nk", quaternions[joints[:, 0], :4], quaternions[joints][:, :, :4])
+    # the first joint is the heaviest: the others are turned to its hemisphere
+    mean = _means(joints, np.where(alike >= 0, weights.weights, -weights.weights), quaternions)
+    mean /= np.linalg.norm(mean[:, :4], axis=1, keepdims=True)
+    r, w, d, d_w = mean[:, :3], mean[:, 3:4], mean[:, 4:7], mean[:, 7:]
+    turned = vertices + 2.0 * np.cross(r, np.cross(r, vertices) + w * vertices)
+    return np.asarray(turned + 2.0 * (w * d - d_w * r + np.cross(r, d)), np.float64)
+
+
+def _means(joints: IntArray, weights: FloatArray, values: FloatArray) -> FloatArray:
+    """(n, k) sums of the joints' values (j, k), by joints and weights (n, m) of each vertex."""
+    n, m = joints.shape
+    rows = sp.csr_array((weights.ravel(), joints.ravel(), m * np.arange(n + 1)), shape=(n, len(values)))
+    return np.asarray(rows @ values)

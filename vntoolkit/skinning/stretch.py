@@ -1,6 +1,5 @@
 """How far cloth is stretched, triangle by triangle, and the drawing together of what stretches too far."""
 
-import numba
 import numpy as np
 
 from vntoolkit.arrays import Faces, FloatArray, Points
@@ -18,23 +17,8 @@ def edge_lengths(vertices: Points, faces: Faces) -> FloatArray:
 
 def greatest_growth(vertices: Points, faces: Faces, lengths: FloatArray) -> FloatArray:
     """Return (m,): how much the most stretched edge of each triangle has grown; lengths: `edge_lengths`."""
-    return _greatest_growth(np.ascontiguousarray(vertices, dtype=np.float64), faces, lengths)
-
-
-@njit(cache=True, parallel=True)
-def _greatest_growth(vertices, faces, lengths):  # type: ignore[no-untyped-def]
-    growth = np.empty(len(faces))
-    for f in numba.prange(len(faces)):
-        most = 0.0
-        for k in range(3):
-            a, b = faces[f, k], faces[f, (k + 1) % 3]
-            squared = 0.0
-            for axis in range(3):
-                squared += (vertices[a, axis] - vertices[b, axis]) ** 2
-            if lengths[f, k] > 0.0:
-                most = max(most, np.sqrt(squared) / lengths[f, k])
-        growth[f] = most
-    return growth
+    now = edge_lengths(np.asarray(vertices, dtype=np.float64), faces)
+    return np.divide(now, lengths, out=np.zeros_like(now), where=lengths > 0.0).max(axis=1)
 
 
 def drawn_together(vertices: Points, edges: Faces, longest: FloatArray) -> Points:
@@ -43,18 +27,18 @@ def drawn_together(vertices: Points, edges: Faces, longest: FloatArray) -> Point
     edges: (e, 2). They take turns until none is too long, or a number of times. What is not stretched does
     not move.
     """
-    moved = np.array(vertices, dtype=np.float64)
-    _draw_together(moved, edges, longest)
+    moved, squares = np.array(vertices, dtype=np.float64), _REACHED * longest**2
+    now = np.flatnonzero(np.square(moved[edges[:, 1]] - moved[edges[:, 0]]).sum(axis=1) > squares)
+    if len(now):
+        ends = edges.ravel()
+        about = np.argsort(ends, kind="stable") // 2  # the edges of each vertex, one vertex after another
+        starts = np.append(0, np.cumsum(np.bincount(ends, minlength=len(moved))))
+        _draw_together(moved, edges, longest, squares, now, starts, about)
     return moved
 
 
 @njit(cache=True)
-def _draw_together(vertices, edges, longest):  # type: ignore[no-untyped-def]
-    squares = _REACHED * longest * longest
-    now = _stretched(vertices, edges, squares)
-    if not len(now):
-        return
-    starts, about = _edges_about(len(vertices), edges)
+def _draw_together(vertices, edges, longest, squares, now, starts, about):  # type: ignore[no-untyped-def]
     is_near = np.zeros(len(edges), np.bool_)
     for sweep in range(_SWEEPS):
         is_near[:] = False
@@ -81,31 +65,3 @@ def _draw_together(vertices, edges, longest):  # type: ignore[no-untyped-def]
         if is_done:
             break
         now = np.flatnonzero(is_near)
-
-
-@njit(cache=True)
-def _stretched(vertices, edges, squares):  # type: ignore[no-untyped-def]
-    found = np.zeros(len(edges), np.bool_)
-    for e in range(len(edges)):
-        squared = 0.0
-        for axis in range(3):
-            squared += (vertices[edges[e, 1], axis] - vertices[edges[e, 0], axis]) ** 2
-        found[e] = squared > squares[e]
-    return np.flatnonzero(found)
-
-
-@njit(cache=True)
-def _edges_about(count, edges):  # type: ignore[no-untyped-def]
-    """Return where the edges about each vertex begin, (n + 1,), in the list of them, (2 e,)."""
-    starts = np.zeros(count + 2, np.int64)
-    for e in range(len(edges)):
-        for k in range(2):
-            starts[edges[e, k] + 2] += 1
-    starts = np.cumsum(starts)
-    about = np.empty(2 * len(edges), np.int32)
-    for e in range(len(edges)):
-        for k in range(2):
-            v = edges[e, k]
-            about[starts[v + 1]] = e
-            starts[v + 1] += 1
-    return starts, about

@@ -1,14 +1,12 @@
 """How the surface is taken to move where nothing measures it: as one body.
 
-Seen from afar, a body moves in the image by an affine map of its points (u, v, depth). That of the whole is
-fitted robustly, and on it every piece that hangs together has its own.
+Seen from afar, a body moves in the image by an affine map of its points (u, v, depth), fitted robustly.
 """
 
 from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse.csgraph import connected_components
 
 from vntoolkit.arrays import FloatArray
 from vntoolkit.geometry.camera import Camera
@@ -16,9 +14,7 @@ from vntoolkit.tracking.lattice import TemplateLattice
 from vntoolkit.tracking.template import TrackingTemplate
 
 _ROUNDS = 8  # of reweighting in the fit of one body
-_RIDGE = np.array([0.1, 0.1, 0.1, 1e-3])  # in measured nodes, by unit coordinates: of the whole
-_PIECE_RIDGE = np.array([0.3, 0.3, 3.0, 0.03])  # of a piece's own motion beside the whole's
-_PIECE_LEAST = 4.0  # measured nodes that show a motion of their own
+_RIDGE = np.array([0.1, 0.1, 0.1, 1e-3])  # in measured nodes, by unit coordinates
 _LEAST_SCALE_PX = 1.0  # of the fit's residuals; closer fits are not worth more
 _SIGMAS = 1.5  # of a normal distribution in the median of its size
 
@@ -34,38 +30,23 @@ class BodyMotion:
         counts = np.bincount(lattice.node_of_vertex, minlength=lattice.count)
         nodes = lattice.sums(points / scale) / counts[:, None]
         self._nodes = np.column_stack([nodes, np.ones(len(nodes))])
-        self._pieces, self._piece = connected_components(lattice.adjacency, directed=False)
 
     def fitted(self, displacements: FloatArray, weight: FloatArray) -> npt.NDArray[np.float64]:
-        """Return (m, 2) the motion of one body, and of its pieces.
+        """Return (m, 2) the motion of one body.
 
         displacements: (m, 2) of the nodes. weight: (m,) from 0 to 1, how far each is known.
         """
-        motion: npt.NDArray[np.float64] = self._nodes @ _robust_fit(
-            self._nodes, displacements, weight, _RIDGE
-        )
-        if self._pieces == 1:
-            return motion
-        seen = np.bincount(self._piece, weight, minlength=self._pieces)
-        for piece in np.flatnonzero(seen >= _PIECE_LEAST):
-            inside = self._piece == piece
-            own = displacements[inside] - motion[inside]
-            motion[inside] += self._nodes[inside] @ _robust_fit(
-                self._nodes[inside], own, weight[inside], _PIECE_RIDGE
-            )
-        return motion
+        return np.asarray(self._nodes @ _robust_fit(self._nodes, displacements, weight))
 
 
-def _robust_fit(
-    points: FloatArray, values: FloatArray, weight: FloatArray, ridge: FloatArray
-) -> npt.NDArray[np.float64]:
+def _robust_fit(points: FloatArray, values: FloatArray, weight: FloatArray) -> npt.NDArray[np.float64]:
     """Return the (4, 2) map of points (m, 4) to values (m, 2) by reweighted least squares (Cauchy)."""
     trust = np.asarray(weight, dtype=np.float64)
     counted = weight > 0.3 * float(weight.max(initial=0.0))
     motion: npt.NDArray[np.floating] = np.zeros((points.shape[1], values.shape[1]))
     for _ in range(_ROUNDS):
         weighted = trust[:, None] * points
-        motion = np.linalg.solve(points.T @ weighted + np.diag(ridge), weighted.T @ values)
+        motion = np.linalg.solve(points.T @ weighted + np.diag(_RIDGE), weighted.T @ values)
         u, v = (values - points @ motion).T
         residual = np.sqrt(u * u + v * v)  # twenty times as fast as a norm over an axis of two
         usual = float(np.median(residual[counted])) if counted.any() else 0.0

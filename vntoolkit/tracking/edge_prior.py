@@ -9,9 +9,8 @@ Two of them make it, each by how well it does where the nodes around are measure
 - The whole moves as one body (`body_motion`). It is right for an ear behind the cheek's rim.
 
 Lengths are read where a node is believed to be, from what lies between the two nodes (`surface_metric`).
-Where another part lies in front (`covering`), or the node has slipped, they are another surface's. So they
-are right with some probability only: the less, the worse they agree with the body, by what either may err. A
-node that matches badly and is not covered has slipped, mostly by little: its lengths count.
+Where another part lies in front, or the node has slipped, they are another surface's. So they are right with
+some probability only: the less, the worse they agree with the body, by what either may err.
 
 Where the two differ, which of them holds is an error that all edges share.
 """
@@ -41,7 +40,7 @@ _PRIOR_EDGES = 0.2  # measured edges nearby that the two count for
 _NEAR_PASSES = 8  # of lattice smoothing: how far around the success of either counts
 _NORMAL_ERROR = 0.05  # radians: shading that departs from the model turns normals by 3°
 _INDEPENDENT = 3.0  # errors by weight in a cell: light that is not foreseen turns most of its normals alike
-_MISTAKEN = 0.05  # share of lengths that are another surface's where nothing is known to be hidden
+_MISTAKEN = 0.05  # share of lengths that are another surface's
 _TURN_PASSES = 2  # of lattice smoothing: the turn in the image is that of the surroundings
 _LEAST_WEIGHT = 1e-3  # mean of the slopes' in a cell that is divided by
 _LEAST_RELIABLE = 1e-4  # of a node that is not measured, in the fit of one body
@@ -50,16 +49,12 @@ _LEAST_RELIABLE = 1e-4  # of a node that is not measured, in the fit of one body
 class Prior(NamedTuple):
     """steps: (edges, 2) from node to node. variance: (edges,) by direction, px².
 
-    torn: (edges,) the share of the variance that an occluding contour between the two adds. shared: (edges,
-    2) deviation of all steps together, by which of the two holds. away_px: (edges,) by how much farther from
-    the camera the surface is at the second node.
+    shared: (edges, 2) deviation of all steps together, by which of the two holds.
     """
 
     steps: npt.NDArray[np.float64]
     variance: npt.NDArray[np.float64]
-    torn: npt.NDArray[np.float64]
     shared: npt.NDArray[np.float64]
-    away_px: npt.NDArray[np.float64]
 
 
 class EdgePrior:
@@ -97,10 +92,9 @@ class EdgePrior:
         nodes = self.nodes(positions_px)
         return np.asarray(nodes[self.edges[:, 1]] - nodes[self.edges[:, 0]])
 
-    def observable(self, hidden: FloatArray, measured: FloatArray) -> npt.NDArray[np.float64]:
-        """Return (edges,) how far each is measured, by its ends: (nodes,) share hidden, how far known."""
-        known = (1.0 - hidden) * measured
-        return np.minimum(*known[self.edges.T])
+    def observable(self, measured: FloatArray) -> npt.NDArray[np.float64]:
+        """Return (edges,) how far each is measured, by how far its ends are, (nodes,)."""
+        return np.minimum(*measured[self.edges.T])
 
     def at(
         self,
@@ -108,45 +102,38 @@ class EdgePrior:
         around: FloatArray,
         slopes: Slopes,
         depth_map: DepthMap,
-        hidden: FloatArray,
-        behind: FloatArray,
         measured: FloatArray,
     ) -> Prior:
         """Return the steps from node to node.
 
-        around: (nodes, 4) Jacobians of positions (n, 2). hidden: (nodes,) share that is not seen there.
-        behind: (nodes,) share of it that lies behind another part. measured: (nodes,) from 0 to 1, how far a
-        node's place is known.
+        around: (nodes, 4) Jacobians of positions (n, 2). measured: (nodes,) from 0 to 1, how far a node's
+        place is known.
         """
         a, b = self.edges.T
-        by_lengths, of_normals, contour, away_px = self._by_lengths(positions_px, around, slopes, depth_map)
-        in_sight = 1.0 - np.maximum(behind[a], behind[b])
+        by_lengths, of_normals, contour = self._by_lengths(positions_px, around, slopes, depth_map)
         now = self.nodes(positions_px)
-        reliable = (1.0 - hidden) * measured + _LEAST_RELIABLE
-        observable = self.observable(hidden, measured) + _LEAST_RELIABLE
-        whole = self._motion.fitted(now - self.centres, reliable)
+        observable = self.observable(measured) + _LEAST_RELIABLE
+        whole = self._motion.fitted(now - self.centres, measured + _LEAST_RELIABLE)
         by_body = self.along + whole[b] - whole[a]
         steps, square = now[b] - now[a], self._square
         of_lengths = self._near_mean(_strain(steps - by_lengths, square), observable, _STRAIN**2) + of_normals
         of_body = self._near_mean(_strain(steps - by_body, square), observable, _BODY**2)
         apart = np.sum((by_lengths - by_body) ** 2, axis=1) / square
-        right = share_right((1.0 - _MISTAKEN) * in_sight, apart, of_lengths + of_body)
+        right = share_right(1.0 - _MISTAKEN, apart, of_lengths + of_body)
         share = right * of_body / (of_lengths + of_body)
         likely = np.minimum((contour + self._contour) / _CONTOUR_STEEPNESS, 1.0)
-        variance = square * np.minimum(of_lengths + 1.0 - in_sight, of_body)
+        variance = square * np.minimum(of_lengths, of_body)
         slip = square * (_CONTOUR_STRAIN * likely) ** 2
         return Prior(
             steps=share[:, None] * by_lengths + (1.0 - share)[:, None] * by_body,
             variance=variance + slip,
-            torn=slip / (variance + slip),
             shared=np.sqrt(share * (1.0 - share))[:, None] * (by_lengths - by_body),
-            away_px=away_px,
         )
 
     def _by_lengths(
         self, positions_px: Points2, around: FloatArray, slopes: Slopes, depth_map: DepthMap
     ) -> tuple[npt.NDArray[np.float64], ...]:
-        """(edges, 2) steps, squared strain by errors of the normals, `_at_contours`, and away_px (edges,)."""
+        """(edges, 2) steps, (edges,) squared strain by errors of the normals, and `_at_contours`."""
         scale = np.ones(len(positions_px))
         if self._camera.is_perspective:
             depth, found = sample_depth(depth_map.depth, depth_map.mask, positions_px)
@@ -166,8 +153,7 @@ class EdgePrior:
         # By its own length: an edge that is foreshortened to a third errs by a third as many pixels.
         errs = turned * (of_edges.steepness + self._template_metric.steepness + turned)
         strain = errs * np.sum(steps**2, axis=1) / self._square
-        away_px = 0.5 * np.sum((of_nodes.slope[a] + of_nodes.slope[b]) * now, axis=1)
-        return steps, strain, self._at_contours(of_nodes, now), away_px
+        return steps, strain, self._at_contours(of_nodes, now)
 
     def _at_contours(self, nodes: MeanMetric, steps: FloatArray) -> npt.NDArray[np.float64]:
         """(edges,) squared slope by which the surface recedes and then no longer, as at an occluding contour.
@@ -197,7 +183,7 @@ class EdgePrior:
         return np.asarray(0.5 * (means[0] + means[1]))
 
 
-def share_right(before: FloatArray, apart: FloatArray, variance: FloatArray) -> npt.NDArray[np.float64]:
+def share_right(before: float, apart: FloatArray, variance: FloatArray) -> npt.NDArray[np.float64]:
     """Return (edges,) how likely lengths are right that differ from the body by so much, squared strain.
 
     before: how likely that is by itself. variance: of the difference where they are right, by direction.

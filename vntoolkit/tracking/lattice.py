@@ -1,9 +1,7 @@
 """A lattice of cells on the template: sums over cells, smoothing between them, and back to the vertices.
 
 A node is one connected piece of the surface within one square cell, so that neither a seam nor a gap in the
-mask lets one side look at the other. A piece of a few pixels joins a larger one beside it: where several of
-them meet in a corner, their vertices all have the same mean of their nodes' values, so that nothing could
-hold one of them to another.
+mask lets one side look at the other.
 """
 
 from __future__ import annotations
@@ -80,14 +78,10 @@ def lattice_on_template(template: TrackingTemplate, cell_px: int) -> TemplateLat
     pieces = sp.coo_array(
         (np.ones(int(within.sum()), dtype=np.int8), (first[within], second[within])), shape=(count, count)
     )
-    count, piece = connected_components(pieces, directed=False)
-    edges = _edges(piece[first[~within]], piece[second[~within]], count)
-    kept, node_of_piece = np.unique(_joined(np.bincount(piece), edges, cell_px), return_inverse=True)
-    nodes, node = len(kept), node_of_piece[piece]
+    nodes, node = connected_components(pieces, directed=False)
     edges = _edges(node[first], node[second], nodes)
-    cell_of_piece = np.zeros(count, dtype=np.int64)
-    cell_of_piece[piece] = cell
-    cell_of_node = cell_of_piece[kept]
+    cell_of_node = np.zeros(nodes, dtype=np.int64)
+    cell_of_node[node] = cell
     taps, shares = _taps(
         template.pixels, cell_px, columns, node.astype(np.int32), cell_of_node, edges.indptr, edges.indices
     )
@@ -110,23 +104,6 @@ def _edges(a: npt.NDArray[np.int64], b: npt.NDArray[np.int64], count: int) -> sp
     edges.sum_duplicates()
     edges.data[:] = 1
     return edges
-
-
-def _joined(size: npt.NDArray[np.int64], edges: sp.csr_array, least: int) -> npt.NDArray[np.int64]:
-    """Return the piece that each (pieces,) joins: itself, or with fewer than `least` vertices a larger one.
-
-    size: (pieces,) vertices. The largest one beside it is taken; where none is larger, the piece stays.
-    """
-    pieces = np.arange(len(size))
-    by_rank = np.lexsort((pieces, size))
-    rank = np.empty_like(pieces)
-    rank[by_rank] = pieces
-    largest = rank.copy()
-    np.maximum.at(largest, np.repeat(pieces, np.diff(edges.indptr)), rank[edges.indices])
-    joins = np.where(size < least, by_rank[largest], pieces)
-    while not np.array_equal(joins, joins[joins]):
-        joins = joins[joins]
-    return joins
 
 
 class LocalJacobians:
@@ -179,8 +156,6 @@ def _taps(pixels, cell_px, columns, node, cell_of_node, starts, neighbours):  # 
                 a, b = x - u, y - v
                 shares[i, corner] = (a if du else 1 - a) * (b if dv else 1 - b)
                 total += shares[i, corner]
-        if total == 0.0:  # its piece joined one farther off
-            taps[i, 0], shares[i, 0], total = node[i], 1.0, 1.0
         for corner in range(4):
             shares[i, corner] /= total
     return taps, shares

@@ -1,4 +1,4 @@
-"""What the whole surface may do beside the prior of its edges: stretch, shear, turn and tilt.
+"""What the whole surface may do beside the prior of its edges: stretch, shear and turn.
 
 The prior alone would need hundreds of fits to follow a turn: it reads surface and surroundings where they
 were.
@@ -17,15 +17,14 @@ _TURN = 0.1  # the same of a turn, radians
 
 
 def modes_of_the_whole(
-    steps: FloatArray, away_px: FloatArray, middles: FloatArray
+    steps: FloatArray, middles: FloatArray
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
     """Return what the whole may do beside the prior: (edges, 2, k) by unit, (k,) inverse variances of it.
 
-    It stretches and shears, turns in the image and tilts out of it. steps: (edges, 2) as foreseen. away_px:
-    (edges,) by how much the second end of each lies farther. middles: (edges, 2) of the edges, pixels.
+    It stretches and shears, and turns in the image. steps: (edges, 2) as foreseen. middles: (edges, 2) of the
+    edges, pixels.
     """
-    strains = uniform_strains(steps)
-    turns = np.concatenate([slow_turns(steps, middles), tilts(away_px)], axis=2)
+    strains, turns = uniform_strains(steps), slow_turns(steps, middles)
     precision = np.repeat([_STRAIN**-2, _TURN**-2], [strains.shape[2], turns.shape[2]])
     return np.concatenate([strains, turns], axis=2), precision
 
@@ -46,15 +45,6 @@ def slow_turns(steps: FloatArray, centres: FloatArray) -> npt.NDArray[np.float64
         return np.zeros((0, 2, 0))
     across = np.stack([-steps[:, 1], steps[:, 0]], axis=1)
     return across[:, :, None] * slow_monomials(centres)[:, None, :]
-
-
-def tilts(away_px: FloatArray) -> npt.NDArray[np.float64]:
-    """Return (edges, 2, 2): what turns of the whole by 1 radian about v and about u add to steps.
-
-    away_px: (edges,) by how much the second end of each lies farther.
-    """
-    none = np.zeros_like(away_px)
-    return np.stack([np.stack(mode, axis=1) for mode in ((away_px, none), (none, away_px))], axis=2)
 
 
 def slow_monomials(places: FloatArray) -> npt.NDArray[np.float64]:

@@ -33,8 +33,7 @@ _PER_BOX = np.float32(_BOXES_PX[0] / (_BOXES_PX[1] - _BOXES_PX[0]))
 _HALF_OPEN = 0.5
 _BAND_PX = 2.0  # of vertices that are the border
 _BORDER_PX = 4  # beside the image's own border there is no outline
-_SMALL_HOLE_PX = 200  # area of holes that are no part of the outline
-_NARROW_GAP_PX = 9  # width of gaps that are none either: dark pixels, as between strands of hair, come and go
+_NARROW_GAP_PX = 9  # width of gaps that are no outline: dark pixels, as between strands of hair, come and go
 _UNFILLED_PX = 2  # from the outline: gaps are filled farther in only, or a slanted outline would move
 _INSIDE_SIGMA_PX = 2.0  # of a node whose vertices lie off the figure
 _HUBER_PX = 6.0
@@ -165,28 +164,23 @@ def signed_distance(mask: Mask) -> npt.NDArray[np.float32]:
 
 
 def _without_gaps(mask: Mask) -> Mask:
-    """Fill narrow gaps, also those that reach the outside, and small holes."""
+    """Fill holes, which may be something dark that passes before the figure, and narrow gaps."""
     if not mask.any():
         return mask
     box = _around(mask)
     grow, shrink = (np.ones((n, n), np.uint8) for n in (_NARROW_GAP_PX, _NARROW_GAP_PX + 2 * _UNFILLED_PX))
     deep = cv2.erode(cv2.dilate(mask[box].astype(np.uint8), grow), shrink) > 0
-    outside = ~(mask[box] | deep)
-    count, labels = cv2.connectedComponents(outside.astype(np.uint8), connectivity=4)
-    small = np.bincount(labels.ravel(), minlength=count) < _SMALL_HOLE_PX
-    small[0] = True  # the figure
     filled = mask.copy()
-    filled[box] = small[labels]
+    filled[box] = ndimage.binary_fill_holes(mask[box] | deep)
     return filled
 
 
 def _around(mask: Mask) -> tuple[slice, slice]:
     """Return the box of the figure with a margin; of an empty mask, one pixel.
 
-    What lies around is then of one piece, and larger than a hole: 4 margin² and more. No box of means and no
-    step across a contour that touches the figure reaches beyond.
+    No box of means and no step across a contour that touches the figure reaches beyond.
     """
-    margin = _SMALL_HOLE_PX // 8
+    margin = _BOXES_PX[-1]
     rows, columns = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
     if not len(rows):
         return slice(1), slice(1)

@@ -32,7 +32,7 @@ from vntoolkit.tracking.bands import LEAST_NOISE, RIM_PX, Band, TemplateRaster, 
 from vntoolkit.tracking.factors import Factor, factor, total
 from vntoolkit.tracking.lattice import NODES_BY_PASS, TemplateLattice
 from vntoolkit.tracking.paint import PaintImage
-from vntoolkit.tracking.running_template import Comparison, RunningTemplate, running_template, what_exceeds
+from vntoolkit.tracking.running_template import Comparison, RunningTemplate, running_template
 from vntoolkit.tracking.slopes import Relief
 from vntoolkit.tracking.template import TrackingTemplate
 
@@ -69,7 +69,6 @@ class Windows(NamedTuple):
 _RELIEF = (Windows(0, 2, 0.1), Windows(1, 5, 0.9), Windows(2, 8, 5.4))
 _PAINT = (Windows(0, 2, 0.1), Windows(1, 5, 0.3), Windows(2, 8, 0.9))
 _FINEST = _RELIEF[0]
-_WIDE = Windows(0, 6, 0.3)  # against the running template, where the narrow ones tell less
 
 
 class Registration(NamedTuple):
@@ -166,14 +165,10 @@ class TemplateRegistration:
         if running is None:
             return Comparison(bands, fine, nothing, nothing)
         own = running.bands(self._raster.node)
-        narrow, wide = (
-            total(
-                self._window(w, _moments_of(*pair, self._lattice.count), correlated)[0]
-                for pair in zip(own, bands, strict=True)
-            )
-            for w in (_FINEST, _WIDE)
+        against = total(
+            self._window(_FINEST, _moments_of(*pair, self._lattice.count), correlated)[0]
+            for pair in zip(own, bands, strict=True)
         )
-        against = total([narrow, what_exceeds(narrow, wide)])
         more = running.beyond(fine, against)
         return Comparison(bands, total([fine, more]), against, more)
 

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import numpy.typing as npt
 import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
-from scipy.sparse.linalg import splu
 
 from vntoolkit.arrays import FloatArray, Points
 from vntoolkit.geometry.mesh import Mesh, graph_laplacian
 from vntoolkit.libraries import import_open3d
+from vntoolkit.tracking.lattice_system import factored
 from vntoolkit.tracking.template import TrackingTemplate
 
 _ARAP_ITERATIONS = 5
@@ -39,7 +37,7 @@ class LaplacianRegulariser:
     def __init__(self, laplacian: sp.csr_array, beta: float) -> None:
         """Factor L − iβI; laplacian (n, n) symmetric."""
         self.beta = beta
-        self._factor = _factored(laplacian - 1j * beta * sp.eye_array(laplacian.shape[0]))
+        self._factor = factored(laplacian - 1j * beta * sp.eye_array(laplacian.shape[0]))
 
     def solve(self, offsets: FloatArray) -> npt.NDArray[np.float64]:
         """Return X − X⁰ (n, k) for Y − X⁰ (n, k)."""
@@ -58,21 +56,11 @@ class TranslationRegulariser:
         """Factor the normal equations; edges (e, 2), each once."""
         laplacian = graph_laplacian(edges, vertex_count)
         self._share = data_share
-        self._factor = _factored(data_share * sp.eye_array(vertex_count) + (1.0 - data_share) * laplacian)
+        self._factor = factored(data_share * sp.eye_array(vertex_count) + (1.0 - data_share) * laplacian)
 
     def solve(self, translations: FloatArray) -> npt.NDArray[np.float64]:
         """Return the regularised translations (n, k) of the measured ones (n, k)."""
         return np.asarray(self._share * self._factor.solve(np.asarray(translations, dtype=np.float64)))
-
-
-def _factored(matrix: sp.csr_array) -> Any:
-    """Factor a symmetric matrix (n, n) without pivoting; all of its leading minors are regular."""
-    return splu(
-        sp.csc_array(matrix),
-        permc_spec="MMD_AT_PLUS_A",
-        diag_pivot_thresh=0.0,
-        options={"SymmetricMode": True},
-    )
 
 
 class ArapRegulariser:

@@ -48,10 +48,17 @@ def slopes_from_normals(normal_map: NormalMap, camera: Camera) -> Slopes:
     Premultiplied, so that smoothing mixes only what is valid; smoothed over 3×3 pixels, so that interpolation
     blurs no more at half pixels than at whole ones.
     """
-    weight = np.ones((1, 1), dtype=np.float32)
+    share = normal_map.mask.astype(np.float32)
     if normal_map.weight is not None:
-        weight = beside_the_usual(normal_map.weight, normal_map.mask)
-    slopes = _slopes(normal_map.normals_in_camera, normal_map.mask, weight, _ray_terms(camera))
+        share *= beside_the_usual(normal_map.weight, normal_map.mask)
+    h, w = normal_map.shape
+    per_u, per_v, centre_u, centre_v = _ray_terms(camera)
+    x = np.asarray(per_u * (np.arange(w) - centre_u), np.float32)
+    y = np.asarray(per_v * (np.arange(h)[:, None] - centre_v), np.float32)
+    n0, n1, n2 = np.moveaxis(normal_map.normals_in_camera, -1, 0)
+    facing = np.maximum(-(n0 * x + n1 * y + n2), np.float32(_STEEPEST))
+    share *= np.minimum(np.square(facing / np.float32(GRAZING)), 1)
+    slopes = cv2.merge([share * n0 / facing, share * n1 / facing, share])
     return np.asarray(cv2.GaussianBlur(slopes, (3, 3), 0.7))
 
 
@@ -128,10 +135,11 @@ def sample_depth(depth: FloatArray, mask: Mask, positions_px: Points2) -> tuple[
     Bilinear over the valid ones of the four pixels around, whose weights are scaled up to sum to 1; invalid
     where those share less than half of the weight, or the position is not in the image.
     """
-    value = np.ascontiguousarray(depth)
-    return _sample_masked(
-        value, np.ascontiguousarray(mask), np.ascontiguousarray(positions_px, dtype=np.float64)
-    )
+    h, w = mask.shape
+    inside = np.all((positions_px > -0.5) & (positions_px < [w - 0.5, h - 0.5]), axis=1)
+    total, weight = sample_image(np.dstack([np.where(mask, depth, 0.0), mask]), positions_px).T
+    valid = inside & (weight >= 0.5)
+    return np.where(valid, total / np.maximum(weight, 0.5), 0.0), valid
 
 
 def beside_the_usual(weight: Weight, mask: Mask) -> Weight:
@@ -208,28 +216,6 @@ def _ray_terms(camera: Camera) -> npt.NDArray[np.float64]:
 
 
 @njit(cache=True)
-def _slopes(normals, mask, weight, rays):  # type: ignore[no-untyped-def]
-    h, w = mask.shape
-    weighted = weight.shape[0] == h and weight.shape[1] == w
-    out = np.zeros((h, w, 3), dtype=np.float32)
-    for v in range(h):
-        y = (v - rays[3]) * rays[1]
-        for u in range(w):
-            if mask[v, u]:
-                x = (u - rays[2]) * rays[0]
-                n0, n1 = normals[v, u, 0], normals[v, u, 1]
-                towards = -(n0 * x + n1 * y + normals[v, u, 2])
-                facing = max(towards, _STEEPEST)
-                share = min(1.0, (facing / GRAZING) ** 2)
-                if weighted:
-                    share *= weight[v, u]
-                out[v, u, 0] = share * n0 / facing
-                out[v, u, 1] = share * n1 / facing
-                out[v, u, 2] = share
-    return out
-
-
-@njit(cache=True)
 def _metric_sums(slopes, positions, scale, node, count, rays):  # type: ignore[no-untyped-def]
     h, w = slopes.shape[:2]
     n = positions.shape[0]
@@ -275,30 +261,6 @@ def _sample(image, positions):  # type: ignore[no-untyped-def]
             bottom = (1 - a) * image[below, u, c] + a * image[below, right, c]
             out[i, c] = (1 - b) * top + b * bottom
     return out
-
-
-@njit(cache=True)
-def _sample_masked(image, mask, positions):  # type: ignore[no-untyped-def]
-    h, w = image.shape
-    n = positions.shape[0]
-    out, valid = np.zeros(n), np.zeros(n, dtype=np.bool_)
-    for i in range(n):
-        x, y = positions[i, 0], positions[i, 1]
-        if not (x > -0.5 and y > -0.5 and x < w - 0.5 and y < h - 0.5):
-            continue
-        u, v = int(np.floor(x)), int(np.floor(y))
-        a, b = x - u, y - v
-        total = weight = 0.0
-        for dv in range(2):
-            for du in range(2):
-                row, column = v + dv, u + du
-                if 0 <= row < h and 0 <= column < w and mask[row, column]:
-                    share = (a if du else 1 - a) * (b if dv else 1 - b)
-                    total += share * image[row, column]
-                    weight += share
-        if weight >= 0.5:
-            out[i], valid[i] = total / weight, True
-    return out, valid
 
 
 def _high_pass(values: npt.NDArray[np.float32], weight: npt.NDArray[np.float32]) -> None:

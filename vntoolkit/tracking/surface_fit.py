@@ -17,7 +17,6 @@ import numpy.typing as npt
 from vntoolkit.arrays import FloatArray, Mask, Points2, VisibilityLabels
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, NormalMap
-from vntoolkit.tracking.covering import Covering
 from vntoolkit.tracking.edge_prior import EdgePrior, Prior
 from vntoolkit.tracking.factors import Factor, full_of, total
 from vntoolkit.tracking.fit_errors import FitErrors
@@ -44,9 +43,7 @@ _ITERATIONS = 3
 _CONVERGED = 0.1  # steps by the expected error, after which no other follows
 _LEAST_ERROR_PX = 0.3
 _MOST = 0.9  # share of the vertices for which that holds: the rest is lost, or creeps
-# Residual of edges at which they hold half as much. Where they err together it is shared by so many; at a
-# likely contour, which few of them cross, each gives way alone.
-_EDGES_ALIKE, _TORN_SIGMAS = NODES_BY_PASS, 3.0
+_EDGES_ALIKE = NODES_BY_PASS  # edges whose residuals are alike share what they tell
 _LEAST_SINGULAR = 0.2  # of a Jacobian: steps are not taken through a surface seen more nearly edge-on
 # Expected error over the root mean square of what is drawn: about nine in ten errors are then below it, as
 # measured on a sweater, a head and a sheet. Were nothing wrong but what is drawn, 1.5 would do.
@@ -84,14 +81,13 @@ class _View(NamedTuple):
 
 class _Measured(NamedTuple):
     """What is measured around positions (n, 2): around: (nodes, 4) their Jacobians. factors: in pixels of the
-    frame: relief, paint, running template, outline. hidden, known: (nodes,) from 0 to 1, by registration.
+    frame: relief, paint, running template, outline. known: (nodes,) from 0 to 1, by registration.
     """
 
     positions_px: Points2
     around: npt.NDArray[np.float64]
     registration: Registration
     factors: tuple[Factor, ...]
-    hidden: npt.NDArray[np.float64]
     known: npt.NDArray[np.float64]
 
 
@@ -116,7 +112,6 @@ class SurfaceFit:
         self._outline = Outline(template, lattice, view.outline)
         self._registration = TemplateRegistration(template, lattice, view.relief, view.paint)
         self._prior = EdgePrior(lattice, within, camera, view.slopes)
-        self._covering = Covering(lattice, camera)
         self._jacobians = LocalJacobians(lattice, template.positions_px)
         self._system = LatticeSystem(self._prior.edges, lattice.count)
         self._errors = FitErrors(lattice, self._prior, self._registration.passes)
@@ -154,11 +149,9 @@ class SurfaceFit:
                 measured = self._measured(positions, view, measured.registration.correlated)
             prior = self._prior_at(measured, view, depth_map)
             steps = prior.steps - self._prior.steps(positions)
-            alone = prior.torn + (1.0 - prior.torn) / _EDGES_ALIKE
-            variance = prior.variance + alone * np.sum(steps**2, axis=1) / _TORN_SIGMAS**2
-            modes = modes_of_the_whole(prior.steps, prior.away_px, self._prior.middles)
+            modes = modes_of_the_whole(prior.steps, self._prior.middles)
             solution = self._system.solve(
-                total(measured.factors), 1.0 / (_EDGES_ALIKE * variance), steps, *modes
+                total(measured.factors), 1.0 / (_EDGES_ALIKE * prior.variance), steps, *modes
             )
             moved = self._lattice.at_vertices(solution.displacement)
             positions = positions + moved
@@ -166,14 +159,15 @@ class SurfaceFit:
                 break
         residuals = solution.left + self.running.residuals
         square, known = self._errors.expected(
-            solution, measured.factors, np.sqrt(variance), residuals, prior.shared
+            solution, measured.factors, np.sqrt(prior.variance), residuals, prior.shared
         )
-        observable = self._prior.observable(measured.hidden, measured.known)
+        observable = self._prior.observable(measured.known)
+        hidden = self._mismatched(measured.registration, _TELLING)
         running = self.running.with_frame(measured.registration.comparison)
         self.running = running.with_residuals(residuals, known, observable)
         return FittedFrame(
             positions_px=positions,
-            depth=self._depth(positions, depth_map, measured.hidden),
+            depth=self._depth(positions, depth_map, hidden),
             uncertainty_px=self._uncertainty(square, measured),
         )
 
@@ -222,20 +216,16 @@ class SurfaceFit:
             around=around,
             registration=registered,
             factors=(*window_factors, self._outline.measure(positions_px, inverse, view.outline)),
-            hidden=self._mismatched(registered, _TELLING),
             known=np.minimum(1.0, a + c),
         )
 
     def _prior_at(self, measured: _Measured, view: _View, depth_map: DepthMap) -> Prior:
         """Return the prior of the edges there, and beside it what was left of it in the frame before."""
-        behind = measured.hidden * self._covering.of(measured.positions_px, measured.registration.match)
         prior = self._prior.at(
             measured.positions_px,
             measured.around,
             view.slopes,
             depth_map,
-            measured.hidden,
-            behind,
             measured.known,
         )
         return prior._replace(steps=prior.steps + self.running.residuals)

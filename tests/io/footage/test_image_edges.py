@@ -116,7 +116,7 @@ def test_packed_samples_reach_full_scale(tmp_path, bits):
 def test_tiff_that_would_be_misread_is_refused(tmp_path):
     grey_and_alpha = np.full((20, 30, 2), 65535, np.uint16)
     tifffile.imwrite(tmp_path / "a.tif", grey_and_alpha, photometric="minisblack", planarconfig="contig")
-    with pytest.raises(BadCapture, match=r"16-bit samples would be read as 8 bits; save"):
+    with pytest.raises(BadCapture, match="is stored as 2 samples a pixel, expected RGB, grey"):
         read_image(tmp_path / "a.tif")
 
 

@@ -248,7 +248,9 @@ def test_float_images_are_linear_whatever_the_curve(tmp_path):
     options = CaptureOptions(transfer=Transfer(curve=TransferCurve.SRGB))
     frame = open_capture(tmp_path / "a.exr", options).frame(0)
     np.testing.assert_allclose(frame.rgb[0, 0], [0.1, 0.5, 2.0], rtol=1e-6)
-    assert frame.clipped.all()
+    assert not frame.clipped.any()  # beyond 1 there is no full scale
+    options = CaptureOptions(transfer=Transfer(white_level=0.9))
+    assert open_capture(tmp_path / "a.exr", options).frame(0).clipped.all()
 
 
 @pytest.mark.parametrize(

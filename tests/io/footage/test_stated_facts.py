@@ -89,7 +89,12 @@ def test_a_video_of_pictures_with_exif_comes_upright(tmp_path, value, quarters):
     upright = _arrow()
     stored = np.ascontiguousarray(np.rot90(upright, -quarters))
     Image.fromarray(stored).save(tmp_path / "a.jpg", exif=exif, quality=99)
-    (tmp_path / "a.jpg").rename(tmp_path / "a.avi")
+    with av.open(str(tmp_path / "a.avi"), "w") as container:
+        stream = container.add_stream("mjpeg", rate=25)
+        stream.height, stream.width, stream.pix_fmt = *stored.shape[:2], "yuvj420p"
+        packet = av.Packet((tmp_path / "a.jpg").read_bytes())
+        packet.stream, packet.pts, packet.dts, packet.time_base = stream, 0, 0, Fraction(1, 25)
+        container.mux(packet)
     np.testing.assert_allclose(
         open_capture(tmp_path / "a.avi").encoded(0).values.astype(int), upright, atol=12
     )

@@ -1,6 +1,7 @@
 """Videos at their edges: a pixel or three, names that look like protocols, frames left out, odd rates."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import av
 import numpy as np
@@ -88,10 +89,10 @@ def _open_as_19(name, *, options):
 def test_videos_open_with_every_pyav_that_the_lock_names(monkeypatch, behaviour):
     class Container:
         class streams:
-            video = ("picture",)
+            video = (SimpleNamespace(disposition=0),)
 
     monkeypatch.setattr(av, "open", lambda *given, **named: behaviour(*given, **named) and Container)
-    assert open_video(Path("a.mkv")) == (Container, "picture")
+    assert open_video(Path("a.mkv")) == (Container, Container.streams.video[0])
 
 
 @pytest.mark.parametrize("part", [(0, None, 4), (1, 11, 3), (2, 4, 5)])

@@ -20,19 +20,16 @@ _BRADFORD = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0
 
 def curve_of_profile(profile: bytes) -> str:
     """Return the transfer curve of an ICC profile as `Transfer` reads it, else words for it."""
+    codes = np.linspace(0.0, 1.0, 256)
     try:
         count = struct.unpack_from(">I", profile, 128)[0]
         entries = (struct.unpack_from(">4sII", profile, 132 + 12 * k) for k in range(min(count, 100)))
         tags = {name: profile[at : at + size] for name, at, size in entries}
-        codes = np.linspace(0.0, 1.0, 256)
         wanted = [b"kTRC"] if b"kTRC" in tags else [b"rTRC", b"gTRC", b"bTRC"]
         lights = [_light_of_icc_curve(tags[name], codes) for name in wanted]
     except (struct.error, KeyError, ValueError, IndexError):
         return "of an ICC profile without one of its own"
-    known = (
-        "" if np.ptp(lights, axis=0).max() > _SAME_CURVE else curve_of_light(codes, np.mean(lights, axis=0))
-    )
-    return known or "of an ICC profile, unlike any known one"
+    return curve_of_lights(codes, np.array(lights)) or "of an ICC profile, unlike any known one"
 
 
 def _light_of_icc_curve(tag: bytes, codes: FloatArray) -> FloatArray:
@@ -55,8 +52,14 @@ def _light_of_icc_curve(tag: bytes, codes: FloatArray) -> FloatArray:
     return np.where(codes >= cut, np.maximum(a * codes + b, 0) ** g + above, slope * codes + below)
 
 
-def curve_of_light(codes: FloatArray, light: FloatArray) -> str:
-    """Return the curve, as `Transfer` reads it, that takes codes to light; empty for none that is known."""
+def curve_of_lights(codes: FloatArray, lights: FloatArray) -> str:
+    """Return the curve, as `Transfer` reads it, that takes codes to light; empty for none that is known.
+
+    lights: (channels, codes); empty, too, where these differ.
+    """
+    if np.ptp(lights, axis=0).max() > _SAME_CURVE:
+        return ""
+    light = lights.mean(axis=0)
     middle = len(codes) // 2
     names = list(_CURVES)
     if 0 < light[middle] < 1:

@@ -45,7 +45,8 @@ def linear_frame_from_encoded(
 
     background: (h, w, 3) linear, of the same size, subtracted; None for none. A pixel is clipped where any
     channel, before subtraction, reached `transfer.white_level`. Float values are linear by definition: the
-    curve does not apply to them, the levels do.
+    curve does not apply to them, the levels do. A float picture that goes beyond 1 has no full scale there:
+    a white level of 1 clips none of it.
     """
     values = np.ascontiguousarray(frame.values)
     rgb = np.empty(values.shape, dtype=np.float32)
@@ -53,7 +54,8 @@ def linear_frame_from_encoded(
     if values.dtype == np.float32:
         np.subtract(values, np.float32(transfer.black_level), out=rgb)
         rgb *= np.float32(1.0 / (1.0 - transfer.black_level))
-        np.any(values >= np.float32(transfer.white_level), axis=2, out=clipped)
+        white = transfer.white_level if transfer.white_level < 1 or values.max() <= 1 else np.inf
+        np.any(values >= np.float32(white), axis=2, out=clipped)
     else:
         table = decoding_table(transfer, frame.bits, values.dtype.itemsize * 8)
         _look_up(values, table, clipping_code(transfer, table, frame.bits), rgb, clipped)

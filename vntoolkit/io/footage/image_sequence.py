@@ -73,8 +73,8 @@ def frames_of_images(
                 f"{path}: frame {number} is {width}×{height}, the first one {info.width}×{info.height}: a "
                 "capture has one size"
             )
-        first, own = info.stated_transfer, "" if header is None else header.stated.transfer
-        if first and own and own != first:
+        if header is not None and header.stated.transfer != info.stated_transfer:
+            own, first = (curve or "none" for curve in (header.stated.transfer, info.stated_transfer))
             raise BadCapture(
                 f"{path}: frame {number} states the transfer curve {own}, the first one {first}: a capture "
                 "has one curve"

@@ -9,7 +9,7 @@ import os
 import struct
 import warnings
 import zlib
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -20,7 +20,7 @@ from vntoolkit.arrays import Array, Float32Array, Mask
 from vntoolkit.errors import BadCapture, BadInput
 from vntoolkit.io.files import opened, require_pixels, silenced_native_output
 from vntoolkit.io.footage import mosaics
-from vntoolkit.io.footage.colour_profiles import bt709_from, curve_of_profile
+from vntoolkit.io.footage.colour_profiles import bt709_from, curve_of_lights, curve_of_profile
 from vntoolkit.io.footage.image_writing import in_other_order
 from vntoolkit.io.footage.orientation import UPRIGHT, Orientation
 from vntoolkit.io.footage.stated import (
@@ -45,9 +45,9 @@ _BY_PILLOW = {"PNG": _PNG, "JPEG": b"\xff\xd8", "BMP": b"BM", "WEBP": b"RIFF"}
 # TIFF and EXIF tags, and values of theirs
 _SUBFILE_TYPE, _REDUCED = 254, 1
 _MOST_PAGES = 64  # that are looked at; those of a damaged file may lead round in a circle
-_PHOTOMETRIC, _BLACK_IS_ZERO, _MOSAIC = 262, 1, 32803
-_PHOTOMETRIC_READ = (_BLACK_IS_ZERO, 2, 3, _MOSAIC)  # 2: RGB, 3: palette
-_CFA_PATTERN, _ICC_PROFILE, _DNG_VERSION = 33422, 34675, 50706
+_PHOTOMETRIC, _BLACK_IS_ZERO, _RGB, _PALETTE, _MOSAIC = 262, 1, 2, 3, 32803
+_PHOTOMETRIC_READ = (_BLACK_IS_ZERO, _RGB, _PALETTE, _MOSAIC)
+_CFA_PATTERN, _ICC_PROFILE, _DNG_VERSION, _TRANSFER_FUNCTION = 33422, 34675, 50706, 301
 _ACROSS, _DOWN = 282, 283  # pixels in a length
 _BAYER_BY_CODES = {bytes("rgb".index(colour) for colour in bayer.value): bayer for bayer in Bayer}
 _PHOTOMETRIC_NAMES = {
@@ -55,6 +55,11 @@ _PHOTOMETRIC_NAMES = {
     10: "ITULAB", 32844: "LogL", 32845: "LogLuv",
 }  # fmt: skip
 _ORIENTATION, _EXIF_IFD, _COLOUR_SPACE, _SRGB, _FOCAL_35MM = 274, 0x8769, 0xA001, 1, 0xA405
+_GAMMA, _INTEROPERABILITY_IFD, _INDEX, _ADOBE_RGB = 0xA500, 0xA005, 1, "R03"
+_BMP_PROFILE = b"DEBM"
+_BMP_SRGB = (b"BGRs", b" niW")  # Windows' own colour space is sRGB
+_XMP = ("xmp", "XML:com.adobe.xmp")
+_UNREAD = (struct.error, ValueError, KeyError, TypeError, SyntaxError, OSError)  # of damaged EXIF data
 _DIAGONAL_MM = 43.27  # of 24×36 mm
 # sampling factors of luma: chroma's own are 1 × 1 in practice
 _JPEG_CHROMA = {(2, 2): "4:2:0", (2, 1): "4:2:2", (1, 2): "4:4:0", (4, 1): "4:1:1"}
@@ -200,6 +205,8 @@ def _decoded_by_tifffile(
 
 def _sound_samples(pixels: Array, header: "ImageHeader", path: Path | str, error: type[BadInput]) -> Array:
     """Return samples of 8 or 16 bits, whose full scale is all ones, or finite floats; raise for any other."""
+    if sorted(pixels.shape[:2]) != sorted((header.height, header.width)):
+        raise error(f"{path}: its samples are damaged; copy it again")
     if pixels.dtype == np.float64:
         pixels = pixels.astype(np.float32)
     if pixels.dtype not in (np.uint8, np.uint16, np.float32):
@@ -281,7 +288,7 @@ def header_of_stream(stream: BinaryIO, name: str, error: type[BadInput] = BadCap
     size = stream.seek(0, os.SEEK_END)
     stream.seek(0)
     data = stream.read(_LONGEST_HEADER)
-    codes = _sound_chunks(stream, name, error).get(b"cICP", b"") if data.startswith(_PNG) else b""
+    chunks = _sound_chunks(stream, name, error) if data.startswith(_PNG) else {}
     stream.seek(0)
     try:
         if data.startswith(exr.MAGIC):
@@ -293,8 +300,9 @@ def header_of_stream(stream: BinaryIO, name: str, error: type[BadInput] = BadCap
         elif data.startswith(_TIFF):
             header = _tiff(stream if size > len(data) else io.BytesIO(data), name, error)
         else:
-            header = _by_pillow(data, name, codes, error)
-    except (struct.error, IndexError, ValueError, KeyError, SyntaxError, OSError) as problem:
+            with warnings.catch_warnings(action="ignore"):  # of damage, which is told of in one line
+                header = _by_pillow(data, name, chunks, error)
+    except (struct.error, IndexError, ValueError, KeyError, SyntaxError, TypeError, OSError) as problem:
         raise error(f"{name}: the image header is damaged or cut off") from problem
     require_heeded(header.stated, name, error, _COUNTED.get(header.format, "pictures"))
     raw = header.width * header.height * header.channels * max(1, header.bits // 8)
@@ -306,49 +314,55 @@ def header_of_stream(stream: BinaryIO, name: str, error: type[BadInput] = BadCap
     return header
 
 
-def _by_pillow(data: bytes, name: str, codes: bytes, error: type[BadInput]) -> ImageHeader:
-    """codes: of a PNG's cICP chunk, empty for none."""
-    from PIL import BmpImagePlugin, JpegImagePlugin, PngImagePlugin, WebPImagePlugin
+def _by_pillow(data: bytes, name: str, chunks: dict[bytes, bytes], error: type[BadInput]) -> ImageHeader:
+    """chunks: of a PNG, as `_sound_chunks` returns them."""
+    from PIL import BmpImagePlugin, Image, JpegImagePlugin, PngImagePlugin, WebPImagePlugin
 
     # the classes themselves: `Image.open` has a limit of its own for the number of pixels
     readers: dict[str, Any] = {
         "PNG": PngImagePlugin.PngImageFile,
-        "JPEG": JpegImagePlugin.JpegImageFile,
+        "JPEG": JpegImagePlugin.jpeg_factory,
         "BMP": BmpImagePlugin.BmpImageFile,
         "WEBP": WebPImagePlugin.WebPImageFile,
     }
     format_name = next((known for known, magic in _BY_PILLOW.items() if data.startswith(magic)), None)
     if format_name is None or (format_name == "WEBP" and data[8:12] != b"WEBP"):
         raise error(f"{name}: is not a PNG, TIFF, JPEG, BMP, WebP or EXR image")
-    image = readers[format_name](io.BytesIO(data))
+    try:
+        image = readers[format_name](io.BytesIO(data))
+    except Image.DecompressionBombError as problem:  # of a size that no file of its format can have
+        raise ValueError(str(problem)) from problem
     chroma = "4:2:0" if format_name == "WEBP" and b"VP8 " in data[12:4096] else "4:4:4"
     if isinstance(image, JpegImagePlugin.JpegImageFile) and image.layers == 3:
         chroma = _JPEG_CHROMA.get((image.layer[0][1], image.layer[0][2]), chroma)
-    return ImageHeader(
+    header = ImageHeader(
         format=format_name,
         width=image.width,
         height=image.height,
         channels=3 if image.mode == "P" else len(image.getbands()),
         bits=16 if image.tile and "16" in str(image.tile[0][3]) else 8,
         chroma=chroma,
-        stated=_stated_by(image, codes),
     )
+    if b"eXIf" in chunks:  # Pillow would decode the whole PNG to find one behind the picture
+        image.info["exif"] = chunks[b"eXIf"]
+    curve = _curve_of_bmp(data) if format_name == "BMP" else ""
+    return replace(header, stated=_stated_by(image, chunks.get(b"cICP", b""), curve))
 
 
-def _stated_by(image: Any, codes: bytes) -> Stated:
-    """Gather it from EXIF, profile and chunks; of several curves the one that PNG ranks first counts."""
+def _stated_by(image: Any, codes: bytes, curve: str) -> Stated:
+    """Gather it from EXIF, profile and chunks; of several curves the one that PNG ranks first counts.
+
+    codes: of a PNG's cICP chunk, empty for none. curve: that a BMP's header states, or empty.
+    """
     said = image.info
-    value, is_srgb, focal_mm = 1, "srgb" in said, 0.0
-    # without this test, Pillow decodes the whole PNG to look for EXIF data behind the picture
-    if "exif" in said:
-        unread = (struct.error, ValueError, KeyError, TypeError, SyntaxError, OSError)
-        with contextlib.suppress(*unread), warnings.catch_warnings(action="ignore"):
-            exif = image.getexif()
-            value = exif.get(_ORIENTATION, 1)
-            more = exif.get_ifd(_EXIF_IFD)
-            is_srgb = is_srgb or more.get(_COLOUR_SPACE) == _SRGB
-            focal_mm = float(more.get(_FOCAL_35MM, 0))
-    transfer = "srgb" if is_srgb else f"gamma:{1 / said['gamma']:.3g}" if said.get("gamma") else ""
+    turn, transfer, focal_mm = UPRIGHT, curve, 0.0
+    if "exif" in said or any(key in said for key in _XMP):
+        with contextlib.suppress(*_UNREAD):
+            turn, transfer, focal_mm = _stated_by_exif(image.getexif())
+    if said.get("gamma"):
+        transfer = f"gamma:{1 / said['gamma']:.3g}"
+    if "srgb" in said:
+        transfer = "srgb"
     if said.get("icc_profile"):
         transfer = curve_of_profile(said["icc_profile"])
     if codes:
@@ -356,19 +370,65 @@ def _stated_by(image: Any, codes: bytes) -> Stated:
     density = said.get("aspect") or said.get("dpi") or (1, 1)
     if said.get("jfif_unit") == 0:
         density = said["jfif_density"]
-    focal_px = focal_mm / _DIAGONAL_MM * math.hypot(image.width, image.height)
     return Stated(
         transfer="linear" if transfer == "gamma:1" else transfer,
-        orientation=Orientation.from_exif(value) if isinstance(value, int) else UPRIGHT,
+        orientation=turn,
         pixel_aspect=aspect_of_density(*density),
-        pictures=getattr(image, "n_frames", 1),
         colours=image.mode if image.mode in ("CMYK", "LAB", "YCbCr") else "",
-        focal_px=focal_px or None,
+        focal_px=_focal_px(focal_mm, image.width, image.height),
+        pictures=_pictures(image),
     )
 
 
+def _stated_by_exif(exif: Any) -> tuple[Orientation, str, float]:
+    """Return what turns the picture upright, the transfer curve and the focal length in mm, 0 for none."""
+    value, more = exif.get(_ORIENTATION, 1), exif.get_ifd(_EXIF_IFD)
+    curve = f"gamma:{float(more[_GAMMA]):.4g}" if more.get(_GAMMA) else ""
+    if more and exif.get_ifd(_INTEROPERABILITY_IFD).get(_INDEX) == _ADOBE_RGB:
+        curve = "gamma:2.199"  # 563 / 256
+    if more.get(_COLOUR_SPACE) == _SRGB:
+        curve = "srgb"
+    turn = Orientation.from_exif(value) if isinstance(value, int) else UPRIGHT
+    return turn, curve, float(more.get(_FOCAL_35MM, 0))
+
+
+def _focal_px(focal_mm: float, width: int, height: int) -> float | None:
+    """Return the focal length of a picture of 24×36 mm in pixels of one with the same diagonal."""
+    return focal_mm / _DIAGONAL_MM * math.hypot(width, height) or None
+
+
+def _pictures(image: Any) -> int:
+    """Return how many pictures an opened file holds, without the previews that cameras put behind a JPEG."""
+    from PIL import Image
+
+    count = getattr(image, "n_frames", 1)
+    if image.format != "MPO":
+        return int(count)
+    size, alike = image.size, 0
+    for number in range(count):
+        with contextlib.suppress(*_UNREAD, Image.DecompressionBombError):  # of a damaged preview
+            image.seek(number)
+            alike += image.size == size
+    return max(1, alike)
+
+
+def _curve_of_bmp(data: bytes) -> str:
+    """Return the transfer curve that a bitmap's header of version 4 or 5 states; empty for none."""
+    if len(data) < 122 or int.from_bytes(data[14:18], "little") < 108:
+        return ""
+    if data[70:74] in _BMP_SRGB:
+        return "srgb"
+    if data[70:74] == _BMP_PROFILE and len(data) >= 138:
+        at, size = struct.unpack_from("<II", data, 126)
+        return curve_of_profile(data[14 + at : 14 + at + size])
+    gammas = set(struct.unpack_from("<3I", data, 110))
+    if data[70:74] != bytes(4) or gammas == {0}:
+        return ""
+    return f"gamma:{gammas.pop() / 65536:.4g}" if len(gammas) == 1 else "of three gammas"
+
+
 def _sound_chunks(stream: BinaryIO, name: str, error: type[BadInput]) -> dict[bytes, bytes]:
-    """Return a PNG's short chunks; all CRCs are checked, since libpng prints faults, or lets them pass."""
+    """Return a PNG's short chunks and EXIF. CRCs are checked: libpng prints faults, or lets them pass."""
     found: dict[bytes, bytes] = {}
     at, size = 8, stream.seek(0, os.SEEK_END)
     stream.seek(at)
@@ -382,7 +442,7 @@ def _sound_chunks(stream: BinaryIO, name: str, error: type[BadInput]) -> dict[by
             crc, left = zlib.crc32(piece, crc), left - len(piece)
         if crc != struct.unpack(">I", stream.read(4))[0]:
             raise error(f"{name}: the PNG file is damaged: the checksum at byte {at} is wrong; copy it again")
-        if length <= _SHORT_CHUNK:
+        if length <= (_PIECE_BYTES if kind == b"eXIf" else _SHORT_CHUNK):
             found[kind] = piece
         if kind == b"IEND":
             return found
@@ -407,7 +467,7 @@ def _tiff(stream: BinaryIO, name: str, error: type[BadInput]) -> ImageHeader:
                 channels=int(page.samplesperpixel),
                 bits=int(bits[0] if isinstance(bits, tuple) else bits),
                 floating=page.sampleformat == 3,
-                stated=_stated_by_tiff(tiff, page),
+                stated=_stated_by_tiff(tiff, page, stream),
                 tiled=bool(page.is_tiled),
                 planar=page.samplesperpixel > 1 and page.planarconfig != 1,  # which OpenCV would interleave
                 mosaic_at=page.tags[_PHOTOMETRIC].valueoffset if page.photometric == _MOSAIC else 0,
@@ -417,18 +477,43 @@ def _tiff(stream: BinaryIO, name: str, error: type[BadInput]) -> ImageHeader:
         raise ValueError(str(problem)) from problem
 
 
-def _stated_by_tiff(tiff: Any, page: Any) -> Stated:
+def _stated_by_tiff(tiff: Any, page: Any, stream: BinaryIO) -> Stated:
     tags = page.tags
-    stored, colours = int(tags.valueof(_PHOTOMETRIC, 1)), ""
+    stored, samples, colours = int(tags.valueof(_PHOTOMETRIC, 1)), int(page.samplesperpixel), ""
     if stored not in _PHOTOMETRIC_READ:
         colours = _PHOTOMETRIC_NAMES.get(stored, f"photometric {stored}")
+    elif samples not in ((3, 4) if stored == _RGB else (1,)):  # OpenCV would leave the others out
+        colours = f"{samples} samples a pixel"
     pages = itertools.islice(tiff.pages, _MOST_PAGES)
-    profile = tags.valueof(_ICC_PROFILE)
     across, down = (tags.valueof(tag, (1, 1)) for tag in (_ACROSS, _DOWN))
+    transfer, focal_px = _stated_by_exif_of_tiff(tags, page, stream)
+    if (table := tags.valueof(_TRANSFER_FUNCTION)) is not None:
+        light = np.reshape(table, (-1, 1 << int(page.bitspersample))) / 65535
+        codes = np.linspace(0.0, 1.0, light.shape[1])
+        transfer = curve_of_lights(codes, light) or "of a table, unlike any known one"
+    if profile := tags.valueof(_ICC_PROFILE):
+        transfer = curve_of_profile(bytes(profile))
     return Stated(
-        transfer=curve_of_profile(bytes(profile)) if profile else "",
+        transfer=transfer,
         orientation=Orientation.from_exif(int(tags.valueof(_ORIENTATION, 1))),
         pixel_aspect=aspect_of_density(across[0] * down[1], down[0] * across[1]),
-        pictures=sum(not int(each.tags.valueof(_SUBFILE_TYPE, 0)) & _REDUCED for each in pages),
+        pictures=sum(not int(each.tags.valueof(_SUBFILE_TYPE, 0)) & _REDUCED for each in pages)
+        * int(page.imagedepth),
         colours=colours,
+        focal_px=focal_px,
     )
+
+
+def _stated_by_exif_of_tiff(tags: Any, page: Any, stream: BinaryIO) -> tuple[str, float | None]:
+    """Return the transfer curve that EXIF data in a TIFF state, and the focal length in pixels."""
+    from PIL import Image
+
+    if _EXIF_IFD not in tags:
+        return "", None
+    exif = Image.Exif()
+    stream.seek(0)
+    with contextlib.suppress(*_UNREAD), warnings.catch_warnings(action="ignore"):
+        exif.load_from_fp(stream)
+        _, curve, focal_mm = _stated_by_exif(exif)
+        return curve, _focal_px(focal_mm, page.imagewidth, page.imagelength)
+    return "", None

@@ -1,21 +1,26 @@
 """Frames as the sensor recorded them: camera raw files, and Bayer mosaics that are stored as grey."""
 
 import contextlib
-from collections.abc import Sequence
+import struct
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
 
-from vntoolkit.arrays import Array, ByteArray, Int64Array, UInt16Array
+from vntoolkit.arrays import Array, ByteArray, FloatArray, UInt16Array
 from vntoolkit.errors import BadCapture, BadInput
-from vntoolkit.io.files import opened, require_pixels
+from vntoolkit.io.files import opened, require_pixels, silenced_native_output
 from vntoolkit.io.footage.stated import RAW_SUFFIXES
 from vntoolkit.options.footage import Bayer, Demosaic
 
 _FULL = 65535
-_CFA_PATTERN, _BLACK_REPEAT, _BLACK_LEVEL, _ACTIVE_AREA = 33422, 50713, 50714, 50829  # tags of DNG
+_DAMAGES = (ValueError, OSError, TypeError, KeyError, IndexError, AttributeError, OverflowError, struct.error)
+# tags of DNG, and values of theirs
+_CFA_SIZE, _CFA_LAYOUT, _ACTIVE_AREA = 33421, 50711, 50829
+_BLACK_REPEAT, _LEVELS = 50713, (50714, 50716, 50715, 50717)  # black, and what rows and columns add; white
+_MOSAIC, _COLOURS = 32803, 34892  # photometric: one colour a pixel, or all
+_FRACTIONS, _FLOATING = (5, 10), 3
 _TURNS = {3: "turned by 180°", 5: "turned by 270°", 6: "turned by 90°"}  # LibRaw's flip
 
 
@@ -55,14 +60,19 @@ def read_raw(
     algorithms = rawpy.DemosaicAlgorithm
     with opened(path, error) as stream:
         try:
-            with rawpy.RawPy() as raw:
+            with silenced_native_output(), rawpy.RawPy() as raw:  # LibRaw prints of damage
                 raw.open_buffer(stream)
                 sizes = raw.sizes
                 require_pixels(sizes.width, sizes.height, max_megapixels, str(path), error)
                 raw.unpack()
                 saturation = int(raw.white_level or 0)
-                black = _black_levels(stream, raw.black_level_per_channel)
-                _fill_plateau(raw.raw_image, raw.raw_colors, saturation)
+                black, stated = np.array(raw.black_level_per_channel), _levels_of_dng(stream, path, error)
+                scaled: dict[str, int] = {}
+                if raw.raw_type is rawpy.RawType.Flat:  # else red, green and blue are there at each pixel
+                    _fill_plateau(raw.raw_image, raw.raw_colors, saturation)
+                if stated is not None:
+                    _scale_to_levels(raw.raw_image, stated, saturation)
+                    black, scaled = np.zeros(4, np.int64), {"user_sat": _FULL}
                 picture = raw.postprocess(
                     demosaic_algorithm=algorithms.AHD if demosaic is Demosaic.EDGE else algorithms.LINEAR,
                     half_size=demosaic is Demosaic.HALF,
@@ -75,8 +85,9 @@ def read_raw(
                     user_wb=list((saturation - black.min()) / np.maximum(saturation - black, 1)),
                     output_color=rawpy.ColorSpace.raw,
                     output_bps=16,
+                    **scaled,
                 )
-        except (rawpy.LibRawError, ValueError, OSError) as problem:
+        except (rawpy.LibRawError, *_DAMAGES) as problem:
             reason = " ".join(str(problem).replace("b'", "").strip("'").split()).lower()
             raise error(
                 f"{path}: cannot be read as a camera raw file ({reason}); it is damaged or unknown"
@@ -93,35 +104,84 @@ def read_raw(
     return np.ascontiguousarray(picture), header
 
 
-def _black_levels(stream: BinaryIO, found: Sequence[int]) -> Int64Array:
-    """Return (4,) the black of red, green of red's rows, blue, and green of blue's rows.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Levels:
+    """Levels of a DNG's samples, in the rectangle of the sensor from (top, left) to (bottom, right).
 
-    found: by LibRaw. Where a DNG's picture begins at an odd row or column, LibRaw goes on to an even one, and
-    gives the levels of one colour to another: they are read here.
+    black: (h, w, c) of c samples a pixel, which repeats from the first pixel on. down, across: what is added
+    to it in each row and column. white: (c,) or (1,); None for the saturation that LibRaw finds.
     """
-    levels = np.array(found, np.int64)
-    if len(set(found)) == 1:
-        return levels
+
+    area: tuple[int, int, int, int] | None
+    black: FloatArray
+    down: FloatArray
+    across: FloatArray
+    white: FloatArray | None
+
+
+def _levels_of_dng(stream: BinaryIO, path: Path | str, error: type[BadInput]) -> _Levels | None:
+    """Return the levels of a DNG; None where they are all one, and for another kind of raw file.
+
+    LibRaw reads black levels of cells of 2×2 pixels, from an even row and column on, and one white level.
+    Raises `error` for an arrangement of colour filters that it takes for another one.
+    """
     import tifffile
 
+    if Path(path).suffix.lower() != ".dng":
+        return None
     stream.seek(0)
-    with contextlib.suppress(tifffile.TiffFileError, ValueError, KeyError), tifffile.TiffFile(stream) as tiff:
-        for page in (
-            each for first in tiff.pages for each in (first, *(getattr(first, "pages", None) or ()))
-        ):
-            area = page.tags.valueof(_ACTIVE_AREA, (0, 0))
-            if _BLACK_LEVEL in page.tags and (area[0] % 2 or area[1] % 2):
-                rows, columns = page.tags.valueof(_BLACK_REPEAT, (1, 1))
-                stated = np.resize(page.tags.valueof(_BLACK_LEVEL), (rows, columns))
-                cell = np.tile(stated, (2 // rows, 2 // columns)).ravel()
-                colours = np.frombuffer(page.tags.valueof(_CFA_PATTERN), np.uint8).reshape(2, 2)
-                row_of_red = int((colours == 0).any(axis=1).argmax())
-                greens = np.array([[1, 1], [3, 3]] if row_of_red == 0 else [[3, 3], [1, 1]])
-                levels[np.where(colours == 1, greens, colours).ravel()] = cell
-    return levels
+    with contextlib.suppress(tifffile.TiffFileError), tifffile.TiffFile(stream) as tiff:
+        main: list[Any] = list(tiff.pages)
+        pages = [each for first in main for each in (first, *(getattr(first, "pages", None) or ()))]
+        page = next((each for each in pages if each.photometric in (_MOSAIC, _COLOURS)), None)
+        if page is None:
+            return None
+        tags = page.tags
+        height, width = tags.valueof(_CFA_SIZE, (2, 2))
+        if (height, width) not in ((2, 2), (6, 6)) or tags.valueof(_CFA_LAYOUT, 1) != 1:
+            raise error(
+                f"{path}: its colour filters repeat every {width}×{height} pixels, or their rows are "
+                "staggered; expected a Bayer or X-Trans pattern: have the camera save binned or RGB pixels"
+            )
+        cell = tags.valueof(_BLACK_REPEAT, (1, 1))
+        levels, down, across, white = (_values(tags, code) for code in _LEVELS)
+        one = not (np.ptp(levels) or np.ptp(white) or down.any() or across.any())
+        if one or page.sampleformat == _FLOATING:  # which LibRaw turns into integers of its own scale
+            return None
+        return _Levels(
+            area=tags.valueof(_ACTIVE_AREA),
+            black=np.broadcast_to(levels.reshape(*cell, -1), (*cell, page.samplesperpixel)),
+            down=down,
+            across=across,
+            white=white if page.photometric == _COLOURS and white.all() else None,
+        )
+    return None
 
 
-def _fill_plateau(samples: UInt16Array | None, colours: ByteArray | None, saturation: int) -> None:
+def _values(tags: Any, code: int) -> FloatArray:
+    """Return the numbers of a tag, which may be fractions; 0 where it is missing."""
+    tag = tags.get(code)
+    values = np.atleast_1d(np.array(0 if tag is None else tag.value, np.float64))
+    return values[::2] / values[1::2] if tag is not None and tag.dtype in _FRACTIONS else values
+
+
+def _scale_to_levels(samples: UInt16Array, levels: _Levels, saturation: int) -> None:
+    """Scale (h, w) or (h, w, c) samples so that 0 is the black level of each, and `_FULL` the white one."""
+    height, width = samples.shape[:2]
+    top, left, bottom, right = levels.area or (0, 0, height, width)
+    bottom, right = min(bottom, height), min(right, width)
+    white = saturation if levels.white is None else levels.white
+    stack = np.atleast_3d(samples)[..., : levels.black.shape[2]]
+    across = np.resize(levels.across, (right - left, 1))
+    for row in range(top, bottom):
+        cells = levels.black[(row - top) % len(levels.black)]
+        black = np.resize(cells, (right - left, cells.shape[1])) + across
+        black += levels.down[(row - top) % len(levels.down)]
+        light = (stack[row, left:right] - black) / np.maximum(white - black, 1)
+        stack[row, left:right] = np.rint(_FULL * light.clip(0, 1))
+
+
+def _fill_plateau(samples: UInt16Array, colours: ByteArray, saturation: int) -> None:
     """Raise the samples at which the sensor stops to the saturation that the file states, where it is higher.
 
     More samples at the largest value than in the last sixty-fourth below it are a plateau: light thins out.
@@ -129,8 +189,6 @@ def _fill_plateau(samples: UInt16Array | None, colours: ByteArray | None, satura
     there. A value below LibRaw's three quarters of the saturation (its `adjust_maximum_thr`) is the scene's.
     colours: which one each sample has.
     """
-    if samples is None or samples.ndim != 2 or colours is None:  # red, green and blue at each pixel
-        return
     samples[samples >= saturation] = _FULL  # LibRaw's product may round full scale down
     top = int(samples.max())
     if not 0.75 * saturation < top < saturation:

@@ -5,6 +5,7 @@ import logging
 import re
 import shlex
 import struct
+import sys
 import zlib
 from bisect import bisect_right
 from collections import deque
@@ -13,6 +14,7 @@ from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
+from itertools import chain
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -34,7 +36,10 @@ _INDICES: "dict[tuple[str, int, int], VideoIndex]" = {}  # of files by path, siz
 _MOST_INDICES = 8
 _WITHOUT_INDEX = ("mpegts", "mpeg")  # of camcorders: FFmpeg finds a time in them, but no key frame
 # They open other files, which no manifest names and which may lie outside the footage's folder.
-_LISTS_OF_FILES = {"concat", "dash", "hls", "imf", "lavfi", "rtp", "rtsp", "sap", "sdp", "vobsub"}
+_LISTS_OF_FILES = {"concat", "dash", "hls", "image2", "imf", "lavfi", "rtp", "rtsp", "sap", "sdp", "vobsub"}
+_PICTURES = ("_pipe", "image2pipe")  # pictures in no container, whose curve and orientation FFmpeg drops
+_SIDE_DATA = ("DISPLAYMATRIX", "ICC_PROFILE", "SPHERICAL", "STEREO3D")
+_LONGEST_PROFILE = 1 << 24  # bytes
 _EARLY_S = 1  # more than a key frame is decoded ahead of its time
 _FIRST_INTERLACED = 2  # AVFieldOrder: 0 unknown, 1 progressive, then four orders of fields
 _MOST_REORDERED = 16  # frames that H.264 and HEVC may hold back
@@ -93,13 +98,7 @@ class VideoReader:
             self._stated_rate_hz = float(rate)
             self._time_base_s = float(stream.time_base)
             self._require_progressive(int(context.field_order or 0) >= _FIRST_INTERLACED)
-            self.stated = Stated(
-                transfer=TRANSFER_NAMES.get(int(context.color_trc or 0), ""),
-                orientation=self._stated_orientation(container),
-                pixel_aspect=float(stream.sample_aspect_ratio or 1),
-                colours=pixel_formats.unread_colours(context, self.pixel_format),
-                pictures=1 if stream.metadata.get("stereo_mode", "mono") == "mono" else 2,
-            )
+            self.stated = self._stated(container, stream)
             require_heeded(self.stated, str(self.path), BadCapture, "views a frame (stereo)")
         turned = -1 if self.stated.orientation.transposed else 1
         width, height = self._stored_size[::turned]
@@ -153,20 +152,39 @@ class VideoReader:
                 f"{shlex.quote(self.path.stem + '_progressive.mkv')}"
             )
 
-    def _stated_orientation(self, container: Any) -> Orientation:
-        """Return what the first frame states; a frame that cannot be decoded is reported in its turn."""
-        with contextlib.suppress(*av_errors()):
-            frame: Any = next(container.decode(video=0), None)
-            data = None if frame is None else _display_matrix(frame)
-            if data is not None:
-                found = Orientation.from_display_matrix(data)
-                if found is None:
-                    raise BadCapture(
-                        f"{self.path}: is to be shown turned by {frame.rotation}°, expected 0, 90, 180 "
-                        "or 270; turn it in a video editor first"
-                    )
-                return found
-        return UPRIGHT
+    def _stated(self, container: Any, stream: Any) -> Stated:
+        """Gather it from the stream and its first frame; a damaged one is reported in its turn."""
+        context, said = stream.codec_context, {}
+        with contextlib.suppress(StopIteration, *av_errors()):
+            packets = container.demux(stream)
+            first = next(packets)
+            frame = next(frame for packet in chain([first], packets) for frame in packet.decode())
+            is_png = self.codec in ("png", "apng")
+            said = _said_beside_png(frame, context, first) if is_png else _said_beside(frame)
+        turn = Orientation.from_display_matrix(said["DISPLAYMATRIX"]) if "DISPLAYMATRIX" in said else UPRIGHT
+        if turn is None:
+            raise BadCapture(
+                f"{self.path}: is to be shown turned by {frame.rotation}°, expected 0, 90, 180 or 270; turn "
+                "it in a video editor first"
+            )
+        colours = pixel_formats.unread_colours(context, self.pixel_format)
+        if stream.metadata.get("alpha_mode", "0") != "0":
+            colours = "colours with an alpha channel apart from them"
+        if "SPHERICAL" in said:
+            colours = "a picture all around (spherical)"
+        transfer = TRANSFER_NAMES.get(int(context.color_trc or 0), "")
+        if not transfer and "ICC_PROFILE" in said:
+            from vntoolkit.io.footage.colour_profiles import curve_of_profile
+
+            transfer = curve_of_profile(said["ICC_PROFILE"])
+        is_flat = int.from_bytes(said.get("STEREO3D", b"")[:4], sys.byteorder) == 0  # AV_STEREO3D_2D
+        return Stated(
+            transfer=transfer,
+            orientation=turn,
+            pixel_aspect=float(stream.sample_aspect_ratio or 1),
+            colours=colours,
+            pictures=1 if is_flat and stream.metadata.get("stereo_mode", "mono") == "mono" else 2,
+        )
 
     @cached_property
     def index(self) -> "VideoIndex":
@@ -266,6 +284,12 @@ class VideoReader:
                 f"{width}×{height}: a capture has one size"
             )
         self._require_progressive(frame.interlaced_frame)
+        curve = TRANSFER_NAMES.get(int(frame.color_trc), self.stated.transfer)
+        if curve != self.stated.transfer:
+            raise BadCapture(
+                f"{self.path}: frame {number} states the transfer curve {curve}, the first one "
+                f"{self.stated.transfer or 'none'}: a capture has one curve"
+            )
         try:
             if self._bayer is not None:
                 from vntoolkit.io.footage.mosaics import rgb_from_mosaic
@@ -483,7 +507,10 @@ def _missing_frames(container: Any, stream: Any, times: list[int], latest_s: flo
     """
     declared = _declared_count(stream)
     if declared:
-        return max(0, declared - len(times))
+        # frames that an edit list hides are counted, too, but not in the duration
+        end = (stream.start_time or 0) + (stream.duration or np.inf)
+        reaches = len(times) > 1 and times[-1] + 1.5 * np.median(np.diff(times)) >= end
+        return 0 if reaches and _frames_before_gap(times) == len(times) else max(0, declared - len(times))
     rate = stream.average_rate or stream.guessed_rate
     if not (rate and times):
         return 0
@@ -542,22 +569,42 @@ def check_slices(packet: bytes | ByteArray) -> tuple[int, bool]:
     return sound, end > 0 or sound < slices
 
 
-def _display_matrix(frame: Any) -> bytes | None:
-    """Return the 36 bytes of the frame's display matrix, where it states one."""
+def _said_beside(frame: Any) -> dict[str, bytes]:
+    """Return a frame's display matrix (36 bytes), profile and kind of view, by FFmpeg's names."""
     try:
         # by name: PyAV 18 lists the data themselves, PyAV 19 their kinds
-        data = frame.side_data.get("DISPLAYMATRIX")
+        found = {name: frame.side_data.get(name) for name in _SIDE_DATA}
     except ValueError:  # PyAV 18 lists none where one is of a kind it does not know, as FFmpeg's EXIF is
-        turn = np.deg2rad(frame.rotation)
-        cosine, sine = (round(65536 * float(value)) for value in (np.cos(turn), np.sin(turn)))
-        return struct.pack("<9i", cosine, -sine, 0, sine, cosine, 0, 0, 0, 1 << 30)
-    return None if data is None else bytes(data)
+        return _said_by_rotation(frame)
+    return {name: bytes(data) for name, data in found.items() if data is not None}
+
+
+def _said_beside_png(frame: Any, context: Any, packet: Any) -> dict[str, bytes]:
+    """Return the same of a video whose frames are PNG.
+
+    The profile in it has a name, which PyAV 18 frees twice, and so ends the process, as soon as it lists what
+    is beside a frame.
+    """
+    said, head = _said_by_rotation(frame), bytes(context.extradata or b"") + bytes(packet)
+    at = head.find(b"iCCP")
+    if at >= 4:
+        content = head[at + 4 : at + 4 + int.from_bytes(head[at - 4 : at], "big")]
+        with contextlib.suppress(zlib.error):
+            packed = content.partition(b"\0")[2][1:]
+            said["ICC_PROFILE"] = zlib.decompressobj().decompress(packed, _LONGEST_PROFILE)
+    return said
+
+
+def _said_by_rotation(frame: Any) -> dict[str, bytes]:
+    turn = np.deg2rad(frame.rotation)
+    cosine, sine = (round(65536 * float(value)) for value in (np.cos(turn), np.sin(turn)))
+    return {"DISPLAYMATRIX": struct.pack("<9i", cosine, -sine, 0, sine, cosine, 0, 0, 0, 1 << 30)}
 
 
 def open_video(path: Path) -> tuple[Any, Any]:
-    """Return the container of a video file, which the caller closes, and its first video stream.
+    """Return the container of a video file, which the caller closes, and its video stream.
 
-    Raises `BadCapture` where FFmpeg cannot open it, or it holds no video.
+    Raises `BadCapture` where FFmpeg cannot open it, or it holds no video, or several.
     """
     import av
 
@@ -570,12 +617,17 @@ def open_video(path: Path) -> tuple[Any, Any]:
     except av_errors() as error:
         raise BadCapture(
             f"{path}: cannot be opened as a video ({reason_of(error)}); it is damaged, cut off, in an "
-            "unknown format, or a list of other files, of which each is to be given itself"
+            "unknown format, a picture, which is to be saved as PNG or TIFF, or a list of other files, of "
+            "which each is to be given itself"
         ) from error
-    if not container.streams.video:
+    beside = av.stream.Disposition.attached_pic | av.stream.Disposition.timed_thumbnails
+    streams = [stream for stream in container.streams.video if not stream.disposition & beside]
+    if len(streams) != 1:
         container.close()
-        raise BadCapture(f"{path}: holds no video stream")
-    return container, container.streams.video[0]
+        one = f"ffmpeg -i {shlex.quote(path.name)} -map 0:v:0 -c copy {shlex.quote(path.stem + '_one.mkv')}"
+        remedy = f"s, expected one; keep the one that is meant: {one}" if streams else ""
+        raise BadCapture(f"{path}: holds {len(streams) or 'no'} video stream{remedy}")
+    return container, streams[0]
 
 
 def _opened(name: str) -> Any:
@@ -586,7 +638,8 @@ def _opened(name: str) -> Any:
     """
     import av
 
-    alone = {"format_whitelist": ",".join(sorted(av.formats_available - _LISTS_OF_FILES))}
+    formats = {name for name in av.formats_available - _LISTS_OF_FILES if not name.endswith(_PICTURES)}
+    alone = {"format_whitelist": ",".join(sorted(formats))}
     try:
         return av.open(name, options=alone)
     except UnicodeDecodeError:

@@ -1,11 +1,12 @@
 """Normal maps, depth maps and optical flow on disk. Masks and labels: `label_images`."""
 
+import logging
 from pathlib import Path
 
 import cv2
 import numpy as np
 
-from vntoolkit.arrays import Array, Float32Array, FloatArray, Flow, Mask
+from vntoolkit.arrays import Array, FloatArray, Flow, Mask
 from vntoolkit.checks import require_shape
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
@@ -13,12 +14,11 @@ from vntoolkit.io.footage.image_writing import write_png
 from vntoolkit.io.maps_and_meshes.exr import ExrCompression, read_exr, write_exr
 from vntoolkit.options.export import NormalConvention
 
-Plane = Float32Array
-_ERROR_CHANNEL, _DEPTH_ERROR_CHANNEL = "error_deg", "error_percent"
+logger = logging.getLogger(__name__)
+ERROR_CHANNEL, CONVENTION_ATTRIBUTE = "error_deg", "vntoolkit.normalConvention"
+_DEPTH_ERROR_CHANNEL = "error_percent"
 _MOST_PERCENT = np.float32(1000.0)  # more means the same, and a half holds no more than 65504
 _UNIT_ATTRIBUTE = "vntoolkit.lengthUnit"
-_CONVENTION_ATTRIBUTE = "vntoolkit.normalConvention"
-_SHORTEST_NORMAL = 0.5  # a stored vector below it is background, not a normal: (0, 0, 0) or mid grey
 
 
 def write_normal_map(
@@ -36,9 +36,9 @@ def write_normal_map(
     """
     match Path(path).suffix.lower():
         case ".exr":
-            attributes = {_CONVENTION_ATTRIBUTE: convention.value}
+            attributes = {CONVENTION_ATTRIBUTE: convention.value}
             planes = half_planes_from_normals(normal_map, convention.signs)
-            channels = dict(zip([*"RGBA", _ERROR_CHANNEL], planes, strict=False))
+            channels = dict(zip([*"RGBA", ERROR_CHANNEL], planes, strict=False))
             write_exr(path, channels, attributes=attributes, compression=compression)
         case ".png":
             stored = normal_map.normals_in_camera * np.array(convention.signs, np.float32)
@@ -54,38 +54,22 @@ def read_normal_map(
     mask: Mask | None = None,
     max_megapixels: float | None = None,
 ) -> NormalMap:
-    """Read a normal map, EXR, or 8- or 16-bit PNG or TIFF, and normalise it.
+    """Read a normal map of this program or of another one. What had to be assumed is logged.
 
     convention: None for what the EXR's header says, else opengl. mask: (h, w); None for the alpha channel,
-    or where there is none, for the pixels whose vector is longer than 0.5.
+    or where there is none, for all but the background.
     """
-    weight: Plane | None
-    if Path(path).suffix.lower() == ".exr":
-        stored, weight, error, stated = exr_planes_of_normals(path, max_megapixels)
-    else:
-        from vntoolkit.io.footage.images import read_image_with_alpha
+    from vntoolkit.io.maps_and_meshes.stored_normals import read_stored_normals  # loads scipy.ndimage
 
-        pixels, alpha = read_image_with_alpha(path, max_megapixels=max_megapixels)
-        full = 1.0 if pixels.dtype == np.float32 else np.iinfo(pixels.dtype).max
-        stored = pixels if pixels.dtype == np.float32 else pixels * np.float32(2.0 / full) - 1.0
-        weight = None if alpha is None else alpha.astype(np.float32)
-        error, stated = None, None
-    signs = (convention or stated or NormalConvention.OPENGL).signs
-    normals, valid = _unit_normals(np.ascontiguousarray(stored), np.array(signs, np.float32))
-    if weight is not None:
-        valid &= weight > 0
-    if mask is not None:
-        require_shape(mask, valid.shape, f"mask of {path}")
-        valid &= mask
-    if not valid.any():
-        raise BadInput(f"{path}: no pixel holds a normal")
-    normals *= valid[..., None]
-    graded = weight is not None and bool((weight[valid] < 1).any())
+    found = read_stored_normals(path, mask, max_megapixels=max_megapixels)
+    for note in found.notes:
+        logger.warning("%s: %s", path, note)
+    signs = np.array((convention or found.convention or NormalConvention.OPENGL).signs, np.float32)
     return NormalMap(
-        normals_in_camera=normals,
-        mask=valid,
-        weight=weight if graded else None,
-        error_deg=None if error is None else np.where(valid, error, np.float32(0)),
+        normals_in_camera=found.vectors * signs,
+        mask=found.mask,
+        weight=found.weight,
+        error_deg=found.error_deg,
     )
 
 
@@ -146,30 +130,6 @@ def _png_from_normals(stored: FloatArray, mask: Mask, bits: int) -> Array:
     return rgba
 
 
-def exr_planes_of_normals(
-    path: Path | str, max_megapixels: float | None
-) -> tuple[FloatArray, Plane, Plane | None, NormalConvention | None]:
-    """Return what an EXR holds of normals: vectors (h, w, 3) as stored, confidence, errors, stated axes."""
-    channels, texts = read_exr(path, max_megapixels=max_megapixels, error=BadInput)
-    names = next((n for n in ("RGB", "XYZ", "xyz") if set(n) <= set(channels)), None)
-    if names is None:
-        raise BadInput(f"{path}: expected the channels R, G, B or X, Y, Z, found {', '.join(channels)}")
-    stored = np.stack([channels[name] for name in names], axis=-1, dtype=np.float32, casting="unsafe")
-    weight = channels["A"].astype(np.float32) if "A" in channels else None
-    error = channels[_ERROR_CHANNEL].astype(np.float32) if _ERROR_CHANNEL in channels else None
-    valid: Mask = np.isfinite(stored[..., 0]) & np.isfinite(stored[..., 1]) & np.isfinite(stored[..., 2])
-    if weight is None:
-        weight = valid.astype(np.float32)
-    elif not valid[weight > 0].all():
-        raise BadInput(f"{path}: {int((~valid & (weight > 0)).sum())} normals are NaN or infinite")
-    convention = texts.get(_CONVENTION_ATTRIBUTE)
-    try:
-        stated = None if convention is None else NormalConvention(convention)
-        return stored, weight, error, stated
-    except ValueError as problem:
-        raise BadInput(f"{path}: unknown normal convention '{convention}'") from problem
-
-
 def half_planes_from_normals(normal_map: NormalMap, signs: tuple[float, float, float]) -> FloatArray:
     """Return (4, h, w) float16: n_x, n_y, n_z, each times its sign (1 or -1); the weight, 0 where invalid.
 
@@ -188,13 +148,3 @@ def half_planes_from_normals(normal_map: NormalMap, signs: tuple[float, float, f
 def _halves(values: Array, factors: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0)) -> Array:
     """Return products with a factor a channel as float16, rounded as by numpy, in a tenth of its time."""
     return np.asarray(cv2.multiply(values, np.array(factors), dtype=cv2.CV_16F))
-
-
-def _unit_normals(stored: FloatArray, signs: FloatArray) -> tuple[Float32Array, Mask]:
-    """Return stored vectors (h, w, 3) as unit normals, 0 where none is, and (h, w) where one is."""
-    normals = np.multiply(stored, signs, dtype=np.float32)
-    length = np.sqrt(np.einsum("...c,...c", normals, normals))
-    valid = (length > _SHORTEST_NORMAL) & (length < np.inf)
-    normals /= np.where(valid, length, np.float32(1))[..., None]
-    normals[~valid] = 0
-    return normals, valid

@@ -3,7 +3,7 @@
 What is stored becomes unit vectors in the file's own axes. What had to be assumed is said in notes.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +15,8 @@ from vntoolkit.errors import BadInput
 from vntoolkit.io.files import require_file
 from vntoolkit.io.footage.images import read_image_with_alpha
 from vntoolkit.io.maps_and_meshes.arrays import read_npz
-from vntoolkit.io.maps_and_meshes.maps import exr_planes_of_normals
+from vntoolkit.io.maps_and_meshes.exr import read_exr
+from vntoolkit.io.maps_and_meshes.maps import CONVENTION_ATTRIBUTE, ERROR_CHANNEL
 from vntoolkit.options.export import NormalConvention
 
 SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".exr", ".npz", ".mat")
@@ -41,30 +42,61 @@ class StoredNormals:
     notes: tuple[str, ...] = ()
 
 
-def read_stored_normals(path: Path | str, mask: Mask | None = None) -> StoredNormals:
+def read_stored_normals(
+    path: Path | str, mask: Mask | None = None, *, max_megapixels: float | None = None
+) -> StoredNormals:
     """Read a normal map: PNG, TIFF or JPEG of 8 or 16 bits or floats, EXR, NPZ, or MAT as DiLiGenT's."""
     path = Path(path)
     weight, error, stated, alpha = None, None, None, None
     match path.suffix.lower():
         case ".exr":
-            samples, weight, error, stated = exr_planes_of_normals(path, None)
-            alpha = weight > 0
+            samples, weight, error, stated = _exr_planes(path, max_megapixels)
+            alpha = None if weight is None else weight > 0
         case ".npz" | ".mat":
             samples = _normals_of_archive(path)
         case _:
-            samples, alpha = read_image_with_alpha(path)
+            samples, alpha = read_image_with_alpha(path, max_megapixels=max_megapixels)
     inside = alpha if mask is None else (mask if alpha is None else alpha & mask)
     if inside is not None and inside.shape != samples.shape[:2]:
         (height, width), (rows, columns) = inside.shape, samples.shape[:2]
         raise BadInput(f"{path}: is {columns}×{rows} but its mask is {width}×{height}; give one of its size")
-    found = stored_normals(samples, inside, str(path))
-    if weight is not None and bool((weight[found.mask] < 1).any()):
-        return StoredNormals(**{**vars(found), "weight": weight, "error_deg": error, "convention": stated})
-    return StoredNormals(**{**vars(found), "error_deg": error, "convention": stated})
+    found = stored_normals(samples, inside, str(path), is_own=stated is not None)
+    graded = weight is not None and bool((weight[found.mask] < 1).any())
+    return replace(
+        found,
+        weight=weight if graded else None,
+        error_deg=None if error is None else np.where(found.mask, error, np.float32(0)),
+        convention=stated,
+    )
 
 
-def stored_normals(samples: Array, mask: Mask | None, name: str) -> StoredNormals:
-    """Decode samples (h, w, 3) of a file or of a video's frame. mask: (h, w); None finds the background."""
+def _exr_planes(
+    path: Path, max_megapixels: float | None
+) -> tuple[Float32Array, Float32Array | None, Float32Array | None, NormalConvention | None]:
+    """Return what an EXR holds of normals: vectors (h, w, 3) as stored, confidence, errors, stated axes."""
+    channels, texts = read_exr(path, max_megapixels=max_megapixels, error=BadInput)
+    names = next((n for n in ("RGB", "XYZ", "xyz") if set(n) <= set(channels)), None)
+    if names is None:
+        raise BadInput(f"{path}: expected the channels R, G, B or X, Y, Z, found {', '.join(channels)}")
+    stored = np.stack([channels[name] for name in names], axis=-1, dtype=np.float32, casting="unsafe")
+    weight = channels["A"].astype(np.float32) if "A" in channels else None
+    error = channels[ERROR_CHANNEL].astype(np.float32) if ERROR_CHANNEL in channels else None
+    bad = 0 if weight is None else int((~np.isfinite(stored).all(axis=2) & (weight > 0)).sum())
+    if bad:
+        raise BadInput(f"{path}: {bad} normals are NaN or infinite")
+    convention = texts.get(CONVENTION_ATTRIBUTE)
+    try:
+        stated = None if convention is None else NormalConvention(convention)
+        return stored, weight, error, stated
+    except ValueError as problem:
+        raise BadInput(f"{path}: unknown normal convention '{convention}'") from problem
+
+
+def stored_normals(samples: Array, mask: Mask | None, name: str, *, is_own: bool = False) -> StoredNormals:
+    """Decode samples (h, w, 3) of a file or of a video's frame. mask: (h, w); None finds the background.
+
+    is_own: the file is this program's, and holds floats of length 1.
+    """
     require_shape(samples, (None, None, 3), name)
     notes = []
     inside = np.asarray(np.isfinite(samples).all(axis=2))
@@ -73,10 +105,10 @@ def stored_normals(samples: Array, mask: Mask | None, name: str) -> StoredNormal
         inside &= mask
     elif background is not None:
         inside &= ~background[1]
-        notes.append(f"{background[0]} at the border was taken for background; --mask decides")
-    vectors, encoding = _decoded(samples, inside)
+        notes.append(f"{background[0]} at the border was taken for background")
+    vectors, encoding = (samples, "") if is_own else _decoded(samples, inside)
     notes += [encoding] if encoding else []
-    lengths = np.linalg.norm(vectors, axis=2)
+    lengths = np.sqrt(np.einsum("...c,...c", vectors, vectors))
     inside &= (lengths > _SHORTEST) & (lengths < _LONGEST)
     if not inside.any():
         raise BadInput(
@@ -86,8 +118,9 @@ def stored_normals(samples: Array, mask: Mask | None, name: str) -> StoredNormal
     median = float(np.median(lengths[inside]))
     if abs(median - 1.0) > _ROUNDED:
         notes.append(f"vectors of length {median:.2f} (median) were brought to length 1")
-    unit = np.where(inside[..., None], vectors / np.maximum(lengths, _SHORTEST)[..., None], 0)
-    return StoredNormals(vectors=unit.astype(np.float32), mask=inside, notes=tuple(notes))
+    unit = (vectors / np.maximum(lengths, _SHORTEST)[..., None]).astype(np.float32, copy=False)
+    unit[~inside] = 0
+    return StoredNormals(vectors=unit, mask=inside, notes=tuple(notes))
 
 
 def _background(samples: Array) -> tuple[str, Mask] | None:
