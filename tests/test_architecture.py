@@ -92,7 +92,7 @@ LINES = {
     "shadows": 2180,
     "simulation": 3570,
     "skinning": 2070,
-    "tactile": 2100,
+    "tactile": 2110,
     "tracking": 3300,
 }
 

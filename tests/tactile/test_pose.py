@@ -95,6 +95,19 @@ def test_a_ball_does_not_tell_how_it_turns() -> None:
     np.testing.assert_allclose(told[-1].now_from_first.apply(centre) - centre, (0.9, 0, 0), atol=0.1)
 
 
+def test_an_object_that_jumps_by_more_than_half_its_contact_is_lost() -> None:
+    v, u = np.indices(SHAPE)
+    rng, tracker, told = np.random.default_rng(1), ObjectPose(CAMERA), []
+    for middle in (50, 50, 66, 66, 110, 110):
+        away = np.hypot((u - middle) * PIXEL_MM, (v - 60) * PIXEL_MM)
+        depth = np.minimum(3.5 - np.sqrt(np.maximum(16.0 - away**2, 0.0)), 0.0)
+        told.append(tracker(touch_of(rng, depth)))
+    assert told[4].lost
+    assert [pose.contact for pose in told[:2]] == [1, 1]
+    assert told[5].contact == told[4].contact > told[1].contact
+    assert not told[5].lost
+
+
 def test_a_contact_that_is_too_small_is_lost_and_the_next_is_another() -> None:
     rng, tracker = np.random.default_rng(1), ObjectPose(CAMERA)
     touched = touch_of(rng, pressed(letters, pose_of(), SHAPE, PIXEL_MM))

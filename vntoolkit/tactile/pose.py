@@ -143,6 +143,8 @@ class ObjectPose:
             return self._begun(view, lost=True)
         depth_error = 0.0 if touch.error_mm is None else float(np.median(touch.error_mm[view.contact]))
         aligned = self._aligned(key, view, self._pose @ key.pose.inverse(), depth_error / _NINE_OF_TEN[2])
+        if aligned is None:
+            return self._begun(view, lost=True)
         self._pose = aligned.now_from_key @ key.pose
         covariance = key.covariance + aligned.covariance
         self._before = self._keyframe(view, covariance)
@@ -212,13 +214,17 @@ class ObjectPose:
         seen = [cv2.remap(each, u, v, cv2.INTER_LINEAR) for each in (view.normals, view.more)]
         return np.concatenate(seen, axis=-1)[:, 0].astype(np.float64)
 
-    def _shared(self, key: _Keyframe, view: _View) -> float:
-        """The share of the smaller contact that both have, at the pose of the frame before."""
-        inside = self._seen(key, view, self._pose @ key.pose.inverse(), np.zeros(3))[:, 4] > 0.5
+    def _shared(self, key: _Keyframe, view: _View, now_from_key: RigidTransform | None = None) -> float:
+        """The share of the smaller contact that both have; None for the pose of the frame before."""
+        now = self._pose @ key.pose.inverse() if now_from_key is None else now_from_key
+        inside = self._seen(key, view, now, np.zeros(3))[:, 4] > 0.5
         smaller = min(key.size, int(np.count_nonzero(view.contact)))
         return float(inside.mean()) * key.size / smaller
 
-    def _aligned(self, key: _Keyframe, view: _View, start: RigidTransform, depth_error_mm: float) -> _Aligned:
+    def _aligned(
+        self, key: _Keyframe, view: _View, start: RigidTransform, depth_error_mm: float
+    ) -> _Aligned | None:
+        """Align a frame to a keyframe; None where little of the contact ends up in common."""
         middle = key.points.mean(axis=0)
         radius = float(np.sqrt(((key.points - middle) ** 2).sum(axis=1).mean()))
         design = _design(key, middle, radius)
@@ -230,12 +236,15 @@ class ObjectPose:
             right = _product(design, weight, residual)[:, 0]
             step = _with_depth(key, middle, radius, normal, right, self._depth_off(key, view, now, weight))
             now = now @ _motion(step, middle, radius)
+            if self._shared(key, view, now) < _SHARED / 2:  # half of what it began with
+                return None
             if np.abs(step).max() < _SETTLED:
                 break
         residual, inside = self._residual(key, view, now)
         weight = _weights(residual, inside)
         agreed = self._agreement(key, view, now, design, weight, middle, radius)
-        values, directions = eigh(agreed[:5, :5], _product(design, weight, design)[:5, :5])
+        normal = _product(design, weight, design)[:5, :5]
+        values, directions = eigh(agreed[:5, :5], normal + 1e-9 * np.trace(normal) * np.eye(5))
         kept = values > _RELIABLE
         moved = _parameters(start.inverse() @ now, middle, radius)
         # Directions are orthogonal in the information: what is not observable did not move.
