@@ -5,7 +5,8 @@
 DIR holds coloured_light/ (three photographs stacked as red, green, blue), photometric_stereo/ (twelve lights
 of the same statues, a chrome and a grey ball) and faces/ (sixty-four flashes of the faces). Shadows are found
 and recovered as `reconstruct` does. Angles to the many-light normals, over pixels that three, two or one of
-the lights reach.
+the lights reach; and of the expected errors, how many angles are within, and how large they are over the
+angle that nine of ten are within.
 
 real_objects.svg: mean angle for each object, over all pixels and by how many lights reach them.
 """
@@ -29,6 +30,7 @@ from vntoolkit.io.atomic import write_text
 from vntoolkit.io.files import read_bytes, require_file
 from vntoolkit.io.footage.images import read_image
 from vntoolkit.io.maps_and_meshes.masks import read_mask
+from vntoolkit.normals.expected_error import with_expected_error
 from vntoolkit.normals.inversion import normals_from_frame
 from vntoolkit.photometry.frame import LinearFrame, count_lit, labels_from_lit
 from vntoolkit.photometry.response import LightResponse
@@ -54,6 +56,10 @@ def main(out: Path, data: Path) -> None:
         recovered = recover_normals(capture.frame, labels, capture.response, capture.mask)
         table[name] = capture.errors_by_lights(recovered)
         inverted = capture.errors_by_lights(normals_from_frame(capture.frame, capture.response, capture.mask))
+        told = with_expected_error(recovered, capture.frame, capture.response, labels)
+        for group, (within, wide) in capture.bounds_by_lights(told).items():
+            numbers.append(number(f"{name}, {group}: within the expected error", 100 * within, "%"))
+            numbers.append(number(f"{name}, {group}: expected error over nine of ten", wide, "times"))
         for group, error in table[name].items():
             share = 100 * error.pixels / table[name]["all"].pixels
             lines = (
@@ -97,15 +103,23 @@ class ReferencedCapture:
 
         Groups without a pixel are left out. Raises `BadInput` where the maps share no pixel.
         """
-        both = self.mask & found.mask
         angles = angles_between_deg(found.normals_in_camera, self.normals)
-        lights = count_lit(self.labels)
-        errors = {"all": summarise_angles(angles[both])}
-        for name, count in LIT_GROUPS.items():
-            group = both & (lights == count)
-            if group.any():
-                errors[name] = summarise_angles(angles[group])
-        return errors
+        return {name: summarise_angles(angles[group]) for name, group in self._groups(found).items()}
+
+    def bounds_by_lights(self, found: NormalMap) -> dict[str, tuple[float, float]]:
+        """Return the share of angles within the expected error, and its mean over their 90th percentile."""
+        assert found.error_deg is not None
+        angles = angles_between_deg(found.normals_in_camera, self.normals)
+        bounds = {}
+        for name, group in self._groups(found).items():
+            true, said = angles[group], found.error_deg[group]
+            bounds[name] = float((true <= said).mean()), float(said.mean() / np.percentile(true, 90))
+        return bounds
+
+    def _groups(self, found: NormalMap) -> dict[str, Mask]:
+        both, lights = self.mask & found.mask, count_lit(self.labels)
+        groups = {name: both & (lights == count) for name, count in LIT_GROUPS.items()}
+        return {"all": both} | {name: group for name, group in groups.items() if group.any()}
 
 
 def read_capture(folder: Path, name: str) -> ReferencedCapture:

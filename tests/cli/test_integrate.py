@@ -9,8 +9,10 @@ from vntoolkit.cli import run_verb
 from vntoolkit.cli.integrate import integrate
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
+from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.io.footage.image_writing import write_png
 from vntoolkit.io.maps_and_meshes.exr import write_exr
+from vntoolkit.io.maps_and_meshes.maps import write_normal_map
 from vntoolkit.io.maps_and_meshes.masks import write_mask
 from vntoolkit.options.export import NormalConvention
 
@@ -93,6 +95,19 @@ def test_what_surrounds_the_subject_is_no_normal(tmp_path, name, value, caplog):
     assert len(result.mesh(0).faces) > mask.sum()
 
 
+def test_words_in_an_archive_and_masks_of_another_size_are_one_line(tmp_path):
+    np.savez(tmp_path / "a.npz", normals=np.full((4, 5, 3), "z"))
+    with pytest.raises(BadInput, match=r"a\.npz: expected numbers, got <U1"):
+        integrate(tmp_path / "a.npz", out=tmp_path / "out")
+    _, normals, mask = ball()
+    normal_map = NormalMap(normals_in_camera=np.where(mask[..., None], normals, 0), mask=mask)
+    write_normal_map(tmp_path / "a.exr", normal_map)
+    write_mask(tmp_path / "m.png", mask[:-1])
+    with pytest.raises(BadInput, match=r"a\.exr: is .* but its mask is .*; give one of its size"):
+        integrate(tmp_path / "a.exr", mask=tmp_path / "m.png", out=tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
 def test_a_folder_with_mask_and_camera_beside_the_map(tmp_path):
     _, normals, mask = ball()
     write_map(tmp_path / "Normal_gt.mat", normals, np.ones_like(mask), NormalConvention.OPENGL)
@@ -112,6 +127,26 @@ def test_frames_of_a_folder_and_what_later_verbs_make_of_them(tmp_path):
     assert len(list((tmp_path / "out" / "export").rglob("*.ply"))) == 2
     run_verb(["report", str(tmp_path / "out")])
     assert (tmp_path / "out" / "report.html").exists()
+
+
+def test_an_interrupted_folder_goes_on_where_it_stopped(tmp_path):
+    """The second time, the frames that are there are not written again, and all depths are as at once."""
+    _, normals, mask = ball()
+    (tmp_path / "maps").mkdir()
+    for number in range(2):
+        shown = np.roll(mask, number, axis=1)
+        moved = np.roll(normals, number, axis=1)
+        write_map(tmp_path / "maps" / f"{number}.16.png", moved, shown, NormalConvention.OPENGL)
+    whole = integrate(tmp_path / "maps", out=tmp_path / "whole", to="depth")
+    integrate(tmp_path / "maps", out=tmp_path / "parts", to="depth")
+    before = [(tmp_path / "parts" / "depth" / f"00000{n}.exr").stat().st_mtime_ns for n in (0, 1)]
+    (tmp_path / "parts" / "depth" / "000001.exr").unlink()
+    went_on = integrate(tmp_path / "maps", out=tmp_path / "parts", to="depth")
+    after = [(tmp_path / "parts" / "depth" / f"00000{n}.exr").stat().st_mtime_ns for n in (0, 1)]
+    assert before[0] == after[0]
+    assert before[1] < after[1]
+    for number in (0, 1):
+        np.testing.assert_allclose(went_on.depth(number).depth, whole.depth(number).depth, atol=1e-3)
 
 
 def test_normals_that_face_away_are_left_out_or_refused(tmp_path, caplog):

@@ -56,8 +56,8 @@ def test_pixels_without_a_normal_are_invalid_and_zero_never_nan(rng) -> None:
     truth = normals_near_the_axis(rng, (2, 5))
     rgb = rgb_from_normals(truth, RESPONSE)
     rgb[0, 0] = RESPONSE.ambient  # no light at all: length 0
-    rgb[0, 1] = np.nan
-    rgb[0, 2] = np.inf
+    rgb[0, 1] = 1e25  # whose square overflows
+    rgb[0, 2] = -1e25
     rgb[0, 3] = rgb_from_normals(np.array([0.1, 0.2, 0.97]), RESPONSE)  # faces away
     mask = np.ones((2, 5), bool)
     mask[0, 4] = False

@@ -14,12 +14,9 @@ _CAMERA_CODECS = frozenset({"JPEG", "h264", "hevc", "mjpeg", "prores", "av1", "v
 CHROMA_COST_DEG = {"4:2:0": 7, "4:2:2": 5, "4:4:0": 5, "4:1:1": 7}
 
 
-def findings_from_header(capture: Capture) -> list[Finding]:
+def findings_from_header(capture: Capture) -> Iterator[Finding]:
     """Check what a capture says of itself: frames, chroma, codec, bits, and the curve it is read with."""
-    return list(_findings_from_header(capture.info, capture.transfer))
-
-
-def _findings_from_header(info: CaptureInfo, transfer: Transfer) -> Iterator[Finding]:
+    info, transfer = capture.info, capture.transfer
     if info.promised_frame_count > info.frame_count:
         yield Finding.of("cut-off", promised=info.promised_frame_count, came=info.frame_count)
     if info.missing:

@@ -87,7 +87,7 @@ def inspect_capture(
     else:
         mattes = open_mattes(capture, mask, matting, plate)
     numbers = sampled(capture.present, samples)
-    findings = findings_from_header(capture)
+    findings = list(findings_from_header(capture))
     if rig is None:
         findings += findings_from_tag(info, capture.transfer, Level.WARNING)
     white = capture.transfer.diffuse_white

@@ -32,9 +32,14 @@ def normals_from_frame(
 
     frame: linear colour (h, w, 3). mask: (h, w), pixels of interest; default all. camera: tells from where a
     pixel is seen, so that no normal faces away from there; None for orthographic. Invalid in the result:
-    outside the mask, black, turned away from the camera, not finite, or clipped where so chosen. The
+    outside the mask, black, turned away from the camera, or clipped where so chosen. The
     weight is 1 where the albedo is as expected and 1/2 where it is off by `albedo_tolerance`.
     """
+    if response.is_of_changes:
+        raise BadInput(
+            "normals: expected the M of a surface, got a gel's, which is of changes of colour; take `Gel`, "
+            "which rectifies the frame and subtracts the untouched gel"
+        )
     inside = require_mask_or_all(mask, frame.shape)
     found = _normalised(frame, _scaled_normals(frame, response), inside, options or InversionOptions())
     return found if camera is None else _towards(found, camera)

@@ -70,6 +70,11 @@ class LightResponse:
         return matrices, self.ambient + monomials @ self.variation.ambients
 
     @property
+    def is_of_changes(self) -> bool:
+        """Whether M is a gel's: a surface that faces the camera adds nothing to the colour at rest."""
+        return bool(np.allclose(self.matrix[:, 2], self.ambient, rtol=1e-9, atol=0.0))
+
+    @property
     def central(self) -> "LightResponse":
         """The response at the centre of the variation, the same for all pixels."""
         return self if self.variation is None else replace(self, variation=None)

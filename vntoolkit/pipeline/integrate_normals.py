@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
+from os import PathLike
 from pathlib import Path
 
 import numpy as np
@@ -133,7 +134,10 @@ def integrate_normals(
     on_start: Callable[[int, int], None] = lambda total, done: None,
     on_frame: Callable[[FrameEntry], None] = lambda entry: None,
 ) -> Path:
-    """Integrate the chosen maps one at a time, and write the folder that every later verb reads."""
+    """Integrate the chosen maps one at a time, and write the folder that every later verb reads.
+
+    An interrupted run goes on. The first map is integrated again: later depths are tied to it.
+    """
     source = open_normals(str(asked.source))
     frames = FrameRange.from_text(asked.frames or "::")
     numbers = tuple(frames.numbers(source.count))
@@ -143,16 +147,19 @@ def integrate_normals(
     root = Path(asked.out)
     folder, log = ReconstructionFolder(root=root), FrameLog(root)
     with write_lock(root):
-        integrator: _FrameIntegrator | None = None
-        on_start(len(numbers), 0)
-        for number, read in source.readers(numbers):
+        first = next(read for _, read in source.readers(numbers[:1]))(mask)
+        integrator = _begun(asked, source, first, mask_file)
+        manifest = _manifest(asked, source, integrator.rig, mask_file)
+        goes_on = begin_run(root, RECONSTRUCTION, manifest, overwrite=asked.overwrite)
+        kept = (
+            {n for n in numbers if n in log.done() and folder.has(n, *manifest.outputs)} if goes_on else set()
+        )
+        on_start(len(numbers), len(kept))
+        for number, read in source.readers((numbers[0], *(n for n in numbers[1:] if n not in kept))):
             started = time.perf_counter()
-            stored = read(mask)
-            if integrator is None:
-                integrator = _begun(asked, source, stored, mask_file)
-                manifest = _manifest(asked, source, integrator.rig, mask_file)
-                begin_run(root, RECONSTRUCTION, manifest, overwrite=asked.overwrite)
-            result = integrator.frame(number, stored)
+            result = integrator.frame(number, first if number == numbers[0] else read(mask))
+            if number in kept:
+                continue
             write_frame(folder, result)
             entry = FrameEntry(
                 number=number,
@@ -226,12 +233,12 @@ def _begun(
     """Settle camera and convention on the first map, and say what was found."""
     if mask_file is not None and asked.mask is None:
         logger.warning("%s: masked by %s beside it", asked.source, mask_file.name)
-    convention = settled_convention(stored, asked.convention, asked.source, "--convention")
+    convention = settled_convention(stored, asked.convention, str(asked.source), "--convention")
     return _FrameIntegrator(asked, _camera_of(asked, source, stored.mask.shape), convention)
 
 
 def settled_convention(
-    stored: StoredNormals, given: NormalConvention | None, name: Path | str, flag: str
+    stored: StoredNormals, given: NormalConvention | None, name: str | PathLike[str], flag: str
 ) -> NormalConvention:
     """Return the axes of a map: given, stated by its file, or the likeliest; say what was assumed."""
     for note in stored.notes:

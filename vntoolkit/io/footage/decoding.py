@@ -25,7 +25,7 @@ class YuvConversion:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class EncodedFrame:
-    """One frame as stored, for a kernel that computes normals directly from the stored samples.
+    """One frame as stored.
 
     values: (h, w, 3) RGB, uint8, uint16 or float32 (EXR: linear already). bits: significant bits of an
     integer sample, so that 2**bits - 1 is full scale. number: counted from 0 in the capture. name: the file,

@@ -56,10 +56,10 @@ def read_stored_normals(
             samples = _normals_of_archive(path)
         case _:
             samples, alpha = read_image_with_alpha(path, max_megapixels=max_megapixels)
-    inside = alpha if mask is None else (mask if alpha is None else alpha & mask)
-    if inside is not None and inside.shape != samples.shape[:2]:
-        (height, width), (rows, columns) = inside.shape, samples.shape[:2]
+    if mask is not None and mask.shape != samples.shape[:2]:
+        (height, width), (rows, columns) = mask.shape, samples.shape[:2]
         raise BadInput(f"{path}: is {columns}×{rows} but its mask is {width}×{height}; give one of its size")
+    inside = alpha if mask is None else (mask if alpha is None else alpha & mask)
     found = stored_normals(samples, inside, str(path), is_own=stated is not None)
     graded = weight is not None and bool((weight[found.mask] < 1).any())
     return replace(
@@ -98,6 +98,8 @@ def stored_normals(samples: Array, mask: Mask | None, name: str, *, is_own: bool
     is_own: the file is this program's, and holds floats of length 1.
     """
     require_shape(samples, (None, None, 3), name)
+    if samples.dtype.kind not in "uif":
+        raise BadInput(f"{name}: expected numbers, got {samples.dtype}")
     notes = []
     inside = np.asarray(np.isfinite(samples).all(axis=2))
     background = None if mask is not None else _background(samples)
