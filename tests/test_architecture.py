@@ -77,7 +77,7 @@ LINES = {
     "cli": 3320,
     "diagnosis": 4140,
     "evaluation": 1100,
-    "geometry": 1800,
+    "geometry": 1810,
     "inspection": 250,
     "integration": 1750,
     "io": 8390,
