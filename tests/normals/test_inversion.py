@@ -108,3 +108,17 @@ def test_refusals(rng) -> None:
         normals_from_frame(frame, RESPONSE, np.ones((5, 4), bool))
     with pytest.raises(BadInput, match="mask: expected booleans, got uint8"):
         relative_albedo_from_frame(frame, RESPONSE, np.full((4, 5), 255, np.uint8))
+
+
+def test_a_frame_that_is_not_finite_is_refused() -> None:
+    for value in (np.nan, np.inf):
+        with pytest.raises(BadInput, match="frame: expected finite light"):
+            frame_of(np.full((2, 3, 3), value))
+
+
+def test_the_response_of_a_gel_is_refused() -> None:
+    level = np.array([0.4, 0.3, 0.5])  # of the untouched gel, as `calibrate presses` fits it
+    matrix = np.vstack([[0.3, -0.2, -0.1], [0.0, 0.3, -0.3], -level]).T
+    gel = LightResponse(matrix=matrix, ambient=-level)
+    with pytest.raises(BadInput, match=r"got a gel's, .* take `Gel`, which rectifies"):
+        normals_from_frame(frame_of(np.full((2, 3, 3), 0.2)), gel)

@@ -59,7 +59,7 @@ def read_normal_map(
     convention: None for what the EXR's header says, else opengl. mask: (h, w); None for the alpha channel,
     or where there is none, for all but the background.
     """
-    from vntoolkit.io.maps_and_meshes.stored_normals import read_stored_normals  # loads scipy.ndimage
+    from vntoolkit.io.maps_and_meshes.stored_normals import read_stored_normals
 
     found = read_stored_normals(path, mask, max_megapixels=max_megapixels)
     for note in found.notes:

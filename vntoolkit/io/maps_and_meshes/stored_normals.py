@@ -7,14 +7,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from scipy import ndimage
 
 from vntoolkit.arrays import Array, Float32Array, FloatArray, Mask
 from vntoolkit.checks import require_shape
 from vntoolkit.errors import BadInput
 from vntoolkit.io.files import require_file
-from vntoolkit.io.footage.images import read_image_with_alpha
-from vntoolkit.io.maps_and_meshes.arrays import read_npz
 from vntoolkit.io.maps_and_meshes.exr import read_exr
 from vntoolkit.io.maps_and_meshes.maps import CONVENTION_ATTRIBUTE, ERROR_CHANNEL
 from vntoolkit.options.export import NormalConvention
@@ -55,6 +52,8 @@ def read_stored_normals(
         case ".npz" | ".mat":
             samples = _normals_of_archive(path)
         case _:
+            from vntoolkit.io.footage.images import read_image_with_alpha
+
             samples, alpha = read_image_with_alpha(path, max_megapixels=max_megapixels)
     if mask is not None and mask.shape != samples.shape[:2]:
         (height, width), (rows, columns) = mask.shape, samples.shape[:2]
@@ -142,6 +141,8 @@ def _background(samples: Array) -> tuple[str, Mask] | None:
     name = next((name for name, is_that in named.items() if is_that), None)
     if name is None:
         return None
+    from scipy import ndimage
+
     labels, _ = ndimage.label((samples == most).all(axis=2))
     at_border = np.unique(np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]]))
     return name, np.asarray(np.isin(labels, at_border[at_border > 0]))
@@ -171,6 +172,8 @@ def _normals_of_archive(path: Path) -> Array:
         held = ", ".join(f"{name} {shape}" for name, shape in shapes.items()) or "nothing"
         raise BadInput(f"{path}: expected one array (h, w, 3) of normals, it holds {held}")
     if path.suffix.lower() == ".npz":
+        from vntoolkit.io.maps_and_meshes.arrays import read_npz
+
         return read_npz(path, maps[0])
     from scipy.io import loadmat
 
