@@ -22,14 +22,18 @@ def picture(
     contact_px: float,
     drift: float = 0.0,
     rest_px: float = 8.0,
+    moved_px: int = 0,
 ) -> np.ndarray:
-    """The sensor's picture with a ball at (u, v) of the gel; contact 0 for none."""
+    """The sensor's picture with a ball at (u, v) of the gel; contact 0 for none.
+
+    moved_px: of the material, down.
+    """
     distance = np.hypot(U - u, V - v)
     sine = sine_of_slope(distance, contact_px, rest_px)[..., None]
     outward = np.stack([U - u, V - v], axis=-1) / np.maximum(distance, 1e-9)[..., None]
     rgb = np.concatenate([sine * outward, -np.sqrt(1 - sine**2)], axis=-1) @ MATRIX.T
     rgb = rgb + drift * np.stack([U / WIDTH, V / HEIGHT, np.ones(U.shape)], axis=-1)
-    rgb[DOTS] *= 0.4
+    rgb[np.roll(DOTS, moved_px, axis=0)] *= 0.4
     whole = np.zeros((HEIGHT + 2 * MARGIN, WIDTH + 2 * MARGIN, 3))
     whole[MARGIN:-MARGIN, MARGIN:-MARGIN] = rgb
     whole += rng.normal(0, 0.002, whole.shape)

@@ -74,10 +74,10 @@ DOORS = {
 LINES = {
     "(root)": 1970,
     "calibration": 4720,
-    "cli": 3300,
+    "cli": 3320,
     "diagnosis": 4140,
     "evaluation": 1100,
-    "geometry": 1800,
+    "geometry": 1810,
     "inspection": 250,
     "integration": 1760,
     "io": 8390,
@@ -87,12 +87,12 @@ LINES = {
     "normals": 1570,
     "options": 1730,
     "photometry": 1060,
-    "pipeline": 7810,
+    "pipeline": 8000,
     "report": 3150,
     "shadows": 2170,
     "simulation": 3570,
     "skinning": 2070,
-    "tactile": 1400,
+    "tactile": 2110,
     "tracking": 3300,
 }
 

@@ -106,6 +106,7 @@ if TYPE_CHECKING:  # what editors and type checkers know; a test holds it to the
     from vntoolkit.pipeline.opened_result import read_result as read_result
     from vntoolkit.shadows.detector import ShadowDetector as ShadowDetector
     from vntoolkit.shadows.recovery import recover_normals as recover_normals
+    from vntoolkit.tactile.pose import ObjectPose as ObjectPose
     from vntoolkit.tracking.tracker import SurfaceTracker as SurfaceTracker
 
 __version__ = "0.1.0"
@@ -139,6 +140,7 @@ _PUBLIC = {
     "evaluate_normals": "vntoolkit.evaluation.angular_error",
     "Gel": "vntoolkit.pipeline.gel",
     "Touch": "vntoolkit.pipeline.gel",
+    "ObjectPose": "vntoolkit.tactile.pose",
     "SurfaceTracker": "vntoolkit.tracking.tracker",
     "MeshSequence": "vntoolkit.geometry.mesh",
     # options, and the methods that they name

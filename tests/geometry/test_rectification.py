@@ -36,3 +36,16 @@ def test_numbers_and_orders_that_make_no_plane_are_refused() -> None:
             Rectification(**{**plane, "corners_px": tuple(corners.tolist())})
     turned = np.concatenate([bottom_right, bottom_left, top_right, top_left])
     Rectification(**{**plane, "corners_px": tuple(turned.tolist())})  # upside down is a way to film
+
+
+def test_corners_and_size_tell_the_side_of_a_pixel() -> None:
+    square = (10.0, 20.0, 110.0, 20.0, 10.0, 70.0, 110.0, 70.0)
+    plane = Rectification.as_filmed(square, 20.0, 10.0)
+    assert plane.pixel_mm == pytest.approx(0.2)
+    assert plane.size == (100, 50)
+    # as many pixels as were filmed, where x and y are filmed at other scales
+    stretched = Rectification.as_filmed(square, 20.0, 20.0)
+    assert np.prod(stretched.size) == pytest.approx(100 * 50, rel=0.02)
+    assert stretched.size[0] == stretched.size[1]
+    with pytest.raises(BadInput, match="eight numbers"):
+        Rectification.as_filmed(square[:6], 20.0, 10.0)

@@ -123,7 +123,7 @@ def test_evaluate_tracks_refuses_what_it_cannot_do(arguments, line, tmp_path, ca
     ("arguments", "line"),
     [
         (["live", "--rig", "R", "--camera", "0", "--realtime"], "--realtime is for --video"),
-        (["live", "--rig", "R", "--video", "F", "--size-mm", "3", "4"], "--size-mm need --pixel-mm"),
+        (["live", "--rig", "R", "--video", "F", "--size-mm", "3", "4"], "expected both --corners"),
         (["live", "--rig", "R", "--video", "F", "--size-mm", "3", "4", "--pixel-mm", "1"], "both --corners"),
         (["reconstruct", "F", "--rig", "R", "--out", "o", "--scheduler", "nowhere"], "nowhere: no Dask"),
         (["session", "F", "--rig", "R", "--out", "o", "--method", "flow"], "--method needs --track"),

@@ -43,7 +43,7 @@ def sensor(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 LEFT, RIGHT, BOTTOM = MARGIN, MARGIN + WIDTH, MARGIN + HEIGHT
 CORNERS = f"--corners {LEFT} {LEFT} {RIGHT} {LEFT} {LEFT} {BOTTOM} {RIGHT} {BOTTOM}"
-PLANE = f"{CORNERS} --size-mm {WIDTH / 10} {HEIGHT / 10} --pixel-mm 0.1"
+PLANE = f"{CORNERS} --size-mm {WIDTH / 10} {HEIGHT / 10}"  # which tells that a pixel is 0.1 mm
 
 
 def calibrate(sensor: Path, rig: Path, *more: str, ball_mm: str = "2.4", presses: str = "") -> int:
@@ -101,6 +101,12 @@ def test_a_sensor_from_presses_without_labels_to_depth_and_contact(sensor, tmp_p
     contact = read_image(out / "contact" / "000000.png")
     assert contact[90, 60].min() == 255
     assert contact[20, 20].max() == 0
+
+
+def test_without_corners_the_side_of_a_pixel_is_asked_for(sensor: Path, tmp_path: Path, capsys) -> None:
+    files = f"{sensor}/presses --background {sensor}/background.png --out {tmp_path}/rig.json"
+    assert main(f"calibrate presses {files} --ball-radius-mm 2.4".split()) == 1
+    assert "expected --pixel-mm, or --corners and --size-mm" in capsys.readouterr().err
 
 
 def test_the_dark_flank_of_a_sharp_rim_is_no_dot(sensor: Path, tmp_path: Path) -> None:

@@ -1,7 +1,7 @@
 """`vntoolkit calibrate …`: fit a rig to footage of a calibration object and write rig.json."""
 
 import os
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar
@@ -317,6 +317,9 @@ def calibrate_presses(asked: PressesArguments) -> Rig:
     require_output(Path(asked.out), JSON)
     if asked.overlay is not None:
         require_output(Path(asked.overlay), PICTURE)
+    rectification = rectification_from_corners(asked.corners, asked.size_mm, asked.pixel_mm)
+    if rectification is not None:
+        asked = replace(asked, pixel_mm=rectification.pixel_mm)
     job = pipeline.PressJob(
         source=str(asked.source),
         background=Path(asked.background),
@@ -324,7 +327,7 @@ def calibrate_presses(asked: PressesArguments) -> Rig:
         circles=asked.circle,
         transfer=curve_from_text(asked.transfer),
         sensor=asked.part(SensorOptions),
-        rectification=rectification_from_corners(asked.corners, asked.size_mm, asked.pixel_mm),
+        rectification=rectification,
         label_size=asked.label_size,
         allow=asked.allow,
     )
@@ -361,8 +364,8 @@ def _report_presses(result: pipeline.PressCalibration, asked: PressesArguments) 
         say("                    (--overlay circles.png draws them, --circle gives one a circle)")
     radius = asked.ball_radius_mm
     say(f"  ball              {radius:g} mm in radius, {2 * radius:g} mm across")
-    width, height = camera.width * asked.pixel_mm, camera.height * asked.pixel_mm
-    scale = f"{asked.pixel_mm:g} mm a pixel in u and v, {width:.1f}×{height:.1f} mm"
+    width, height = camera.width * asked.side_mm, camera.height * asked.side_mm
+    scale = f"{asked.side_mm:.4g} mm a pixel in u and v, {width:.1f}×{height:.1f} mm"
     say(f"  scale             {scale}; depth is 0 at rest, negative in a dent")
 
 
@@ -410,10 +413,8 @@ def rectify(asked: RectifyArguments) -> Path:
 
 def _rectification(asked: RectifyArguments, known: Rig | None, filmed: tuple[int, int]) -> Rectification:
     if known is None:
-        if asked.corners is None or asked.size_mm is None or asked.pixel_mm is None:
-            raise BadInput(
-                "rectify: expected --corners, --size-mm and --pixel-mm, or the --rig of a tactile gel"
-            )
+        if asked.corners is None or asked.size_mm is None:
+            raise BadInput("rectify: expected --corners and --size-mm, or the --rig of a tactile gel")
         rectification = rectification_from_corners(asked.corners, asked.size_mm, asked.pixel_mm)
         assert rectification is not None  # of corners and a size
         return rectification
@@ -421,7 +422,7 @@ def _rectification(asked: RectifyArguments, known: Rig | None, filmed: tuple[int
         raise BadInput("rectify: --pixel-mm is the rig's; leave it out, or leave out --rig")
     known = rig_with_corners(known, asked.corners, asked.size_mm, filmed)
     if known.gel is None or known.gel.rectification is None:
-        raise BadInput(f"{asked.rig}: holds no corners of a gel; give --corners, --size-mm and --pixel-mm")
+        raise BadInput(f"{asked.rig}: holds no corners of a gel; give --corners and --size-mm")
     known.require_size(*filmed, str(asked.source))
     return known.gel.rectification
 

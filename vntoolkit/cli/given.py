@@ -36,13 +36,18 @@ def rig_with_corners(
 
 
 def rectification_from_corners(
-    corners: tuple[float, ...] | None, size_mm: tuple[float, float] | None, pixel_mm: float
+    corners: tuple[float, ...] | None, size_mm: tuple[float, float] | None, pixel_mm: float | None
 ) -> Rectification | None:
-    """Return the rectification of --corners, --size-mm and --pixel-mm, or None without them."""
+    """Return the rectification of --corners, --size-mm and --pixel-mm, or None without them.
+
+    Without --pixel-mm a pixel is as large as in the picture as filmed, in the mean.
+    """
     if corners is None and size_mm is None:
         return None
     if corners is None or size_mm is None:
         raise BadInput("rectification: expected both --corners and --size-mm, got one of them")
+    if pixel_mm is None:
+        return Rectification.as_filmed(tuple(corners), *size_mm)
     return Rectification(
         corners_px=tuple(corners), width_mm=size_mm[0], height_mm=size_mm[1], pixel_mm=pixel_mm
     )

@@ -16,7 +16,6 @@ from vntoolkit.cli.verb import command, verb
 from vntoolkit.diagnosis.checks import findings_from_rig
 from vntoolkit.diagnosis.finding import judge, require_known_checks
 from vntoolkit.errors import BadInput, VntError
-from vntoolkit.geometry.rectification import Rectification
 from vntoolkit.io.footage.captures import CaptureOptions, open_capture
 from vntoolkit.io.footage.decoding import EncodedFrame
 from vntoolkit.io.maps_and_meshes.masks import read_mask
@@ -80,7 +79,9 @@ def _prepared(asked: LiveArguments) -> tuple[capture.LiveSource, LiveProcessor]:
         size = view.size(source.width, source.height)
         rig = rig_with_corners(rig, asked.corners, asked.size_mm, size)
     else:
-        view = replace(view, rectification=_rectification(asked))
+        view = replace(
+            view, rectification=rectification_from_corners(asked.corners, asked.size_mm, asked.pixel_mm)
+        )
     rig.require_size(*view.size(source.width, source.height), source.name)
     judge(findings_from_rig(rig), asked.allow)
     plate = _background(asked)
@@ -203,14 +204,6 @@ def _first_frame(source: capture.LiveSource, video: Path | None) -> EncodedFrame
         return next(open_capture(video).encoded_frames())
     grey = np.full((source.height, source.width, 3), _GREY, np.uint8)
     return EncodedFrame(values=grey, bits=8, number=0, name="grey")
-
-
-def _rectification(asked: LiveArguments) -> Rectification | None:
-    if asked.corners is None and asked.size_mm is None:
-        return None
-    if asked.pixel_mm is None:
-        raise BadInput("live: --corners and --size-mm need --pixel-mm")
-    return rectification_from_corners(asked.corners, asked.size_mm, asked.pixel_mm)
 
 
 @contextlib.contextmanager

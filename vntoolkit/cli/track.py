@@ -3,6 +3,7 @@
 from functools import partial
 from pathlib import Path
 from statistics import median
+from typing import TYPE_CHECKING
 
 from vntoolkit.cli.output import ProgressBars, print_next, say
 from vntoolkit.cli.verb import command, verb
@@ -13,6 +14,9 @@ from vntoolkit.pipeline.checkerboard import write_checkerboard
 from vntoolkit.pipeline.texture import write_texture
 from vntoolkit.pipeline.track import TrackSummary
 from vntoolkit.pipeline.track import track as run
+
+if TYPE_CHECKING:
+    from vntoolkit.tactile.pose import TrackedPose
 
 
 @verb(TrackArguments)
@@ -25,6 +29,10 @@ def track(asked: TrackArguments) -> MeshSequence:
     with ProgressBars() as bars:
         begin = partial(bars.begin, "track")
         summary = run(asked, on_start=begin, on_frame=bars.step)
+    if asked.object:
+        from vntoolkit.pipeline.object_poses import write_object_poses
+
+        _report_poses(write_object_poses(Path(asked.folder), asked.target))
     files = write_checkerboard(Path(asked.folder), asked.target, asked.part(CheckerboardOptions))
     _report(summary)
     say(f"{files.video}, {files.sheet.name}")
@@ -33,6 +41,16 @@ def track(asked: TrackArguments) -> MeshSequence:
     say(f"{shown}: {made.covered:.1%} of the surface from {made.frames} frames, the rest filled")
     print_next("dress", asked.target, "--motion", "data/walk.bvh", "--out", "cloth.usdc")
     return read_mesh_sequence(asked.target)
+
+
+def _report_poses(poses: "list[TrackedPose]") -> None:
+    known = [pose for pose in poses if not pose.lost]
+    line = f"object.csv: pose in {len(known)} of {len(poses)} frames"
+    if known:
+        line += f", within {max(p.error_deg for p in known):.1f} degrees and "
+        line += f"{max(p.error_mm for p in known):.2f} mm; unobservable directions: "
+        line += f"{max(len(p.unobservable) for p in known)}"
+    say(line)
 
 
 track_command = command(track)

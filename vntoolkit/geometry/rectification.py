@@ -43,6 +43,15 @@ class Rectification:
                 "top right, bottom left, bottom right"
             )
 
+    @classmethod
+    def as_filmed(cls, corners_px: tuple[float, ...], width_mm: float, height_mm: float) -> "Rectification":
+        """As many pixels as the rectangle has in the image: their side follows from the areas."""
+        cls(corners_px=corners_px, width_mm=8.0, height_mm=8.0, pixel_mm=1.0)  # refuses bad corners
+        a, b, c, d = np.reshape(corners_px, (4, 2))
+        area_px = 0.5 * abs(float(np.linalg.det(np.stack([d - a, c - b]))))
+        side_mm = math.sqrt(width_mm * height_mm / area_px)
+        return cls(corners_px=corners_px, width_mm=width_mm, height_mm=height_mm, pixel_mm=side_mm)
+
     @property
     def size(self) -> tuple[int, int]:
         """(width, height) of the rectified image in pixels."""

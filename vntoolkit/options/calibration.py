@@ -126,8 +126,8 @@ class PressOptions(Options):
 
     ball_radius_mm: float
     """Radius of the ball."""
-    pixel_mm: float
-    """Side of a pixel on the gel."""
+    pixel_mm: float | None = None
+    """Side of a pixel on the gel. Default: what --corners and --size-mm tell of the picture as filmed."""
     contact_share: float = 0.8
     """Share of the labelled contact radius inside which the gel follows the ball."""
     samples: int = 400
@@ -141,8 +141,15 @@ class PressOptions(Options):
     """Pixels whose colour differs from M's by more than this many robust standard deviations (dots, creases)
     are left out of M's fit."""
 
+    @property
+    def side_mm(self) -> float:
+        """Side of a pixel; raises `BadInput` where it is not known."""
+        if self.pixel_mm is None:
+            raise BadInput("presses: expected --pixel-mm, or --corners and --size-mm")
+        return self.pixel_mm
+
     def _require_valid(self) -> None:
-        if not (0 < self.ball_radius_mm < np.inf and 0 < self.pixel_mm < np.inf):
+        if not (0 < self.ball_radius_mm < np.inf and (self.pixel_mm is None or 0 < self.pixel_mm < np.inf)):
             raise BadInput("presses: expected a positive ball radius and pixel size in mm")
         if not 0 < self.contact_share <= 1:
             raise BadInput(f"presses: expected a contact share from 0 to 1, got {self.contact_share:g}")

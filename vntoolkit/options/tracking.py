@@ -81,13 +81,15 @@ class TrackArguments(MovedFootageOptions, TrackingOptions, CheckerboardOptions, 
     """JSON file of polylines on the template image. The surface is cut along them, as at mouth and eyes."""
     template: int | None = None
     """Number of the template frame. Default: the one that shows most of the surface, lit and sharp; with
-    --seams the first. It is tracked forwards and backwards."""
+    --seams, and on a tactile gel, the first. It is tracked forwards and backwards."""
     out: OptionalFile = named(None)
     """The folder to write; default FOLDER/track."""
     lost_px: float = LOST_PX
     """A vertex is called lost where its expected error is above this, in pixels."""
     background: OptionalFile = named(None)
     """The background image that the reconstruction subtracted, for the colours of the texture."""
+    object: bool = False
+    """On a tactile gel: also write object.csv, the pose of what touches it, frame by frame."""
     overwrite: bool = False
     """Replace the tracks that the folder holds."""
 

@@ -131,7 +131,7 @@ def calibrate_presses(
     height, width = background.shape
     if not reader.has_folder:  # what was found, or corrected one by one, has no common offset
         options = replace(options, label_offset=LabelOffset.OWN)
-    radii_mm = options.pixel_mm * np.array([part.press.radius_px for part in samples])
+    radii_mm = options.side_mm * np.array([part.press.radius_px for part in samples])
     findings = [
         *_findings_from_background(read),
         *press_checks.check_gel_fills_picture(level, _colour_at_contacts(samples)),
@@ -150,7 +150,7 @@ def calibrate_presses(
     camera = (
         job.rectification.camera
         if job.rectification is not None
-        else Camera.orthographic(width=width, height=height, pixels_per_unit=1000.0 / options.pixel_mm)
+        else Camera.orthographic(width=width, height=height, pixels_per_unit=1000.0 / options.side_mm)
     )
     rig = Rig(
         camera=camera,

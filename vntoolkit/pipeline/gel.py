@@ -21,6 +21,9 @@ from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline.frame_processor import FrameProcessor
 from vntoolkit.pipeline.outputs import FrameResult
+from vntoolkit.pipeline.pressed_gel import membrane_of
+from vntoolkit.tactile.motion import MembraneMotion
+from vntoolkit.tactile.motion_maps import GelMotion, motion_over_picture
 from vntoolkit.tactile.session import colours_by_place
 
 _MM = 1000.0  # per metre
@@ -36,6 +39,7 @@ class Touch:
     camera. mask: where both hold. contact: what is touched. area_mm2: of the contact. deepest_mm: of the
     deepest point below the gel at rest, 0 where nothing touches; deepest_px: (u, v), None where nothing does.
     error_deg, error_mm: what nine of ten normals and depths stay within; None where the rig does not know.
+    motion: of the gel's material since it was untouched.
     """
 
     normals: Normals
@@ -47,6 +51,7 @@ class Touch:
     deepest_px: tuple[int, int] | None
     error_deg: FloatArray | None
     error_mm: FloatArray | None
+    motion: GelMotion
 
 
 class Gel:
@@ -67,6 +72,8 @@ class Gel:
         judge(check_background(rig, _colours(rig, self._background)), self._allow)
         options = ReconstructOptions(to=Product.DEPTH)
         self._processor = FrameProcessor(rig, options, background=self._background.rgb)
+        self._membrane = membrane_of(rig, self._background.rgb)
+        self._moved: MembraneMotion | None = None
 
     @classmethod
     def read(cls, rig: Path | str, background: Path | str | Array, *, allow: Iterable[str] = ()) -> Self:
@@ -96,7 +103,11 @@ class Gel:
             found = findings_from_touches(self.rig, self._background, [filmed], [result])
             judge(found, self._allow)
             self._checked = True
-        return _touch(result)
+        assert result.contact is not None
+        paint = self._membrane.picture(resampler_of(self.rig).frame(filmed).rgb)
+        self._moved = self._membrane.follow(paint, self._moved)
+        contact = result.contact.mask
+        return _touch(result, motion_over_picture(self._membrane, self._moved, contact, self.pixel_mm))
 
     def _encoded(self, frame: Array, name: str) -> EncodedFrame:
         values = np.asarray(frame)
@@ -164,7 +175,7 @@ def _colours(rig: Rig, frame: LinearFrame) -> FloatArray:
     return colours_by_place(rectified.rgb, ~rectified.clipped)
 
 
-def _touch(result: FrameResult) -> Touch:
+def _touch(result: FrameResult, motion: GelMotion) -> Touch:
     depth, contact, normals = result.depth_map, result.contact, result.normal_map
     assert depth is not None
     assert contact is not None
@@ -186,4 +197,5 @@ def _touch(result: FrameResult) -> Touch:
         deepest_px=deepest,
         error_deg=normals.error_deg,
         error_mm=error_mm,
+        motion=motion,
     )

@@ -1,14 +1,19 @@
 """A tactile gel: its normals from the change of colour, and what touches it from its depth."""
 
+import numpy as np
+
 from vntoolkit.arrays import LinearImage, Mask
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, NormalMap
+from vntoolkit.io.footage.decoding import resampler_of
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.gel import GelResponse
 from vntoolkit.photometry.response import LightResponse
+from vntoolkit.photometry.rig import Rig
 from vntoolkit.tactile.contact import Contact, contact_from_depth, rested
 from vntoolkit.tactile.dots import DotFilter
 from vntoolkit.tactile.inversion import GelInverter, drift_of_change
+from vntoolkit.tactile.motion import Membrane
 
 
 class PressedGel:
@@ -32,3 +37,10 @@ class PressedGel:
         """Return the depth below the gel at rest, and what touches it."""
         depth_map = rested(depth_map)
         return depth_map, contact_from_depth(depth_map, camera)
+
+
+def membrane_of(rig: Rig, background: LinearImage) -> Membrane:
+    """The membrane of a rig's gel. background: the untouched gel, linear (h, w, 3), as filmed."""
+    nothing: Mask = np.zeros(background.shape[:2], np.bool_)
+    untouched = resampler_of(rig).frame(LinearFrame(rgb=background, clipped=nothing)).rgb
+    return Membrane(untouched, DotFilter(untouched).dots)

@@ -1,14 +1,16 @@
 """Registration of all frames of a reconstruction to one moving mesh."""
 
+from __future__ import annotations
+
 import logging
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vntoolkit.arrays import MaterialLabels, Normals, Points, Points2, VisibilityLabels
+from vntoolkit.arrays import Array, MaterialLabels, Normals, Points, Points2, VisibilityLabels
 from vntoolkit.diagnosis.finding import judge
 from vntoolkit.diagnosis.track_checks import findings_from_tracks
 from vntoolkit.errors import BadInput, BadMesh, VntError
@@ -30,10 +32,17 @@ from vntoolkit.tracking.paint import Paint, paint_of_frame
 from vntoolkit.tracking.running_template import RunningTemplate
 from vntoolkit.tracking.tracker import SurfaceTracker, tracked_frame
 
+if TYPE_CHECKING:
+    from vntoolkit.pipeline.membrane_tracker import MembraneTracker
+    from vntoolkit.tactile.motion import Membrane, MembraneMotion
+
+    AnyTracker = SurfaceTracker | MembraneTracker
+    Running = RunningTemplate | MembraneMotion
+
 _LOGGER = logging.getLogger(__name__)
 _MEMORY_EVERY = 16  # frames that a run killed on the way does again, at most
 
-PaintReader = Callable[[int, NormalMap], Paint]
+PaintReader = Callable[[int, NormalMap], Array]  # (h, w): of a membrane bytes, else `Paint`
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,30 +79,27 @@ def track(
     folder = Path(asked.folder)
     source = read_result(folder, footage=asked.footage, background=asked.background)
     seams = () if asked.seams is None else read_seams(asked.seams)
+    if asked.object and source.rig.gel is None:
+        raise BadInput("--object: expected the reconstruction of a tactile gel")
     numbers = source.frames_to_track
     there = [n for n in numbers if has_maps(source, n)]
     template = asked.template
     if template is None:  # seams were drawn on a frame that is known before
         from vntoolkit.pipeline.best_frame import best_frame
 
-        template = there[0] if seams else best_frame(source, there)
+        template = there[0] if seams or source.rig.gel else best_frame(source, there)
     if template not in there:
         raise BadInput(
             f"--template {template}: that frame is not in {folder}; it holds {numbers[0]} to {numbers[-1]}"
         )
-    paint_of = _paint_reader(asked, source, there[0])
+    membrane = None
+    if source.rig.gel is not None and asked.method is Tracker.DEFAULT:
+        membrane = _membrane_of(source)
+    paint_of = _paint_reader(asked, source, there[0], membrane)
     record = _record(asked, seams, source, template) | {"paint": paint_of is not None}
     with read_lock(folder), write_lock(asked.target) as target:
         require_same_request(target, TRACKS, record, overwrite=asked.overwrite)
-        paint = None if paint_of is None else paint_of(template, source.normals(template))
-        tracker = SurfaceTracker(
-            *maps_of(source, template),
-            source.camera,
-            asked.part(TrackingOptions),
-            seams,
-            source.labels(template),
-            paint,
-        )
+        tracker = _tracker_of(asked, seams, source, template, paint_of, membrane)
         begin_run(target, TRACKS, record, overwrite=asked.overwrite)
         resumed = _run(tracker, source, template, target, on_start, on_frame, paint_of)
     missing = tuple(n for n in numbers if n not in there)
@@ -114,6 +120,41 @@ def track(
     )
 
 
+def _membrane_of(source: OpenedResult) -> Membrane | None:
+    """The membrane of a gel, whose material is followed; None, which is said, where the footage is gone."""
+    try:
+        background = source.capture.background
+        if background is None:
+            raise BadInput("give the untouched gel as --background")
+        from vntoolkit.pipeline.pressed_gel import membrane_of
+
+        membrane = membrane_of(source.rig, background)
+        if not membrane.is_followable:
+            raise BadInput("the picture of the gel is too small")
+        return membrane
+    except VntError as problem:
+        _LOGGER.warning("the gel's material is not tracked, its shape alone is: %s", problem)
+        return None
+
+
+def _tracker_of(
+    asked: TrackArguments,
+    seams: Sequence[Points2],
+    source: OpenedResult,
+    template: int,
+    paint_of: PaintReader | None,
+    membrane: Membrane | None,
+) -> AnyTracker:
+    maps = maps_of(source, template)
+    paint = None if paint_of is None else paint_of(template, maps[0])
+    if membrane is not None and paint is not None:
+        from vntoolkit.pipeline.membrane_tracker import MembraneTracker
+
+        return MembraneTracker(*maps, source.camera, membrane, paint, seams)
+    labels = source.labels(template)
+    return SurfaceTracker(*maps, source.camera, asked.part(TrackingOptions), seams, labels, paint)
+
+
 def has_maps(result: OpenedResult, number: int) -> bool:
     """Whether a frame has both normals and depth."""
     return result.folder.has(number, "normals", "depth")
@@ -127,8 +168,15 @@ def maps_of(result: OpenedResult, number: int) -> tuple[NormalMap, DepthMap]:
     return result.normals(number), depth_map
 
 
-def _paint_reader(asked: TrackArguments, result: OpenedResult, first: int) -> PaintReader | None:
-    """Return what reads the paint of a frame from the footage; None where that is not at hand."""
+def _paint_reader(
+    asked: TrackArguments, result: OpenedResult, first: int, membrane: Membrane | None
+) -> PaintReader | None:
+    """Return what reads the paint of a frame from the footage; None where that is not at hand.
+
+    membrane: of a gel, whose paint is its printed dots, or its texture.
+    """
+    if membrane is not None:
+        return lambda number, _: membrane.picture(result.linear(number).rgb + membrane.untouched)
     if asked.method is not Tracker.DEFAULT or result.rig.gel is not None:  # a gel has one reflectance
         return None
     try:
@@ -187,7 +235,7 @@ def _visible_shares(
 
 
 def _run(
-    tracker: SurfaceTracker,
+    tracker: AnyTracker,
     source: OpenedResult,
     template: int,
     target: Path,
@@ -222,7 +270,7 @@ def _run(
 
 
 def _follow(
-    tracker: SurfaceTracker,
+    tracker: AnyTracker,
     source: OpenedResult,
     numbers: tuple[int, ...],
     writer: MeshSequenceWriter,
@@ -257,16 +305,14 @@ def _follow(
             write_running_template(writer.folder, *kept)
 
 
-def _truncate_to_memory(writer: MeshSequenceWriter, tracker: SurfaceTracker, lead: int) -> None:
+def _truncate_to_memory(writer: MeshSequenceWriter, tracker: AnyTracker, lead: int) -> None:
     """Drop the frames after the one whose memory is on disk; lead: how many stay in any case."""
     if tracker.running is not None and writer.frame_count > lead:
         count, _ = read_running_template(writer.folder, tracker.running)
         writer.truncate(max(count if count <= writer.frame_count else 0, lead))
 
 
-def _go_on(
-    tracker: SurfaceTracker, source: OpenedResult, done: tuple[int, ...], folder: Path, row: int
-) -> None:
+def _go_on(tracker: AnyTracker, source: OpenedResult, done: tuple[int, ...], folder: Path, row: int) -> None:
     """Restore the tracker after the last frame on disk. row: of the template among them, or −1."""
     present = [i for i, number in enumerate(done) if i == 0 or has_maps(source, number)]
     if len(present) < 2:
@@ -277,11 +323,11 @@ def _go_on(
         uncertainty = None if sequence.uncertainty_px is None else np.array(sequence.uncertainty_px[row + i])
         states.append(tracked_frame(np.array(sequence.vertices[row + i]), uncertainty, source.camera))
     kept = tracker.running
-    running = None if kept is None else read_running_template(folder, kept)[1]
+    running: Any = None if kept is None else read_running_template(folder, kept)[1]
     tracker.resume(states[-2], states[-1], source.normals(done[present[-1]]), running)
 
 
-def _copy_reversed(folder: Path, writer: MeshSequenceWriter, tracker: SurfaceTracker) -> None:
+def _copy_reversed(folder: Path, writer: MeshSequenceWriter, tracker: AnyTracker) -> None:
     if read_mesh_sequence(folder).vertices.size == 0:  # the template is the first frame
         return
     sequence = _tracked_before(folder, tracker)
@@ -290,7 +336,7 @@ def _copy_reversed(folder: Path, writer: MeshSequenceWriter, tracker: SurfaceTra
         writer.append(np.array(sequence.vertices[row]), uncertainty)
 
 
-def _tracked_before(folder: Path, tracker: SurfaceTracker) -> MeshSequence:
+def _tracked_before(folder: Path, tracker: AnyTracker) -> MeshSequence:
     """Return what an earlier run tracked, with its expected errors, which nothing but a person removes."""
     sequence = read_mesh_sequence(folder)
     if sequence.uncertainty_px is None and tracker.state.uncertainty_px is not None:
@@ -314,13 +360,13 @@ def _record(
     }
 
 
-def write_running_template(folder: Path, frame_count: int, running: RunningTemplate) -> None:
+def write_running_template(folder: Path, frame_count: int, running: Running) -> None:
     """Write the running template after so many frames of the moving mesh in the folder."""
     with atomic_path(folder / MEMORY_NAME) as path, path.open("wb") as stream:
         np.savez(stream, frame_count=frame_count, **vars(running))
 
 
-def read_running_template(folder: Path, like: RunningTemplate) -> tuple[int, RunningTemplate]:
+def read_running_template(folder: Path, like: Running) -> tuple[int, Running]:
     """Return what `write_running_template` wrote, and after how many frames.
 
     like: of the same template. Where the folder holds none that is whole and of this template: 0, and that.
@@ -337,4 +383,4 @@ def read_running_template(folder: Path, like: RunningTemplate) -> tuple[int, Run
         )
     except (BadInput, TypeError):
         return 0, like
-    return (frame_count, replace(like, **found)) if whole else (0, like)
+    return (frame_count, type(like)(**found)) if whole else (0, like)

@@ -131,6 +131,7 @@ TRACKS = FolderKind(
         *(f"{_BACKWARDS}/{name}" for name in _MOVING),
         "checkerboard.mkv",
         "checkerboard.png",
+        "object.csv",
         *(f"texture/{name}" for name in ("albedo.png", "normal.png", "texture.json")),
     ),
     foreign=("vertices.npy", "sequence.json"),

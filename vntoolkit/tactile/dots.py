@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numba import prange
 
-from vntoolkit.arrays import ByteArray, LinearImage, Mask
+from vntoolkit.arrays import Array, ByteArray, LinearImage, Mask
 from vntoolkit.native import njit
 
 _WINDOW_SHARE = 1 / 16  # of the shorter side: sensors print ten dots across and more, each half a gap wide
@@ -23,7 +23,7 @@ _DARKER = 0.15  # of the gel's brightness around it, at least
 _FEWEST = 0.002  # of all pixels: less is dirt, and the gel has no dots
 _MOST = 0.4  # more is a texture or the print of an object
 _LARGEST = 3  # times the area of the median dot: what is larger is the print of an object
-_BLACK = 1e-6
+BLACK = 1e-6
 _SEARCHED_PX = 120  # shorter side of the picture that is searched; a dot is still some pixels wide
 
 
@@ -44,12 +44,14 @@ def _enlarged(small: ByteArray, shape: tuple[int, int]) -> Mask:
     return mask
 
 
-def _window(shape: tuple[int, ...]) -> int:
+def window_of(shape: tuple[int, ...]) -> int:
+    """Side of a window that holds a dot, in a picture of this shape."""
     return 2 * max(1, round(min(shape[:2]) * _WINDOW_SHARE / 2)) + 1
 
 
-def _closed(small: LinearImage, window: int) -> LinearImage:
-    return np.asarray(cv2.morphologyEx(small, cv2.MORPH_CLOSE, np.ones((window, window), np.uint8)))
+def closed(picture: Array, window: int) -> Array:
+    """A picture (h, w, 3) without what is dark and narrower than a window."""
+    return np.asarray(cv2.morphologyEx(picture, cv2.MORPH_CLOSE, np.ones((window, window), np.uint8)))
 
 
 class _Ink(NamedTuple):
@@ -65,7 +67,7 @@ def _ink_at_rest(small: LinearImage, closed: LinearImage) -> _Ink | None:
     if not _FEWEST < dark.mean() < _MOST:
         return None
     areas = cv2.connectedComponentsWithStats(dark)[2][1:, cv2.CC_STAT_AREA]
-    shares = (small[dark > 0] / np.maximum(closed[dark > 0], _BLACK)).max(axis=1)
+    shares = (small[dark > 0] / np.maximum(closed[dark > 0], BLACK)).max(axis=1)
     return _Ink(area_px=float(np.median(areas)), share=np.float32(np.median(shares)))
 
 
@@ -91,7 +93,7 @@ class DotFilter:
     def __init__(self, background: LinearImage) -> None:
         """background: the untouched gel, linear (h, w, 3)."""
         self._small = _shrunk(background)
-        self._bright = _closed(self._small, _window(self._small.shape))
+        self._bright = closed(self._small, window_of(self._small.shape))
         self._ink = _ink_at_rest(self._small, self._bright)
         self._found = np.zeros(self._small.shape[:2], np.uint8)
         if self._ink is not None:
@@ -119,7 +121,7 @@ class DotFilter:
         """
         moved = _shrunk(change)
         height, width = moved.shape[:2]
-        window = _window(moved.shape)
+        window = window_of(moved.shape)
         top, bottom, left, right = _box_of_darker(moved, self._bright, np.float32(_DARKER / 2))
         if bottom <= top:
             return unknown | self.dots
@@ -129,7 +131,7 @@ class DotFilter:
         )
         frame = np.ascontiguousarray(moved[box] + self._small[box])
         found = self._found.copy()
-        found[box] |= _dots(frame, _closed(frame, window), ink)
+        found[box] |= _dots(frame, closed(frame, window), ink)
         return unknown | _enlarged(found, unknown.shape)
 
 

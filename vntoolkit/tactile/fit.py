@@ -115,7 +115,7 @@ def _moved_to_dent(
     if np.count_nonzero(touched) < _FEWEST_OF_CENTRE:
         return offset_px
     found = normals_from_change(part.rgb[touched], part.positions_px[touched], fit.response, fit.gel)
-    ball_px = options.ball_radius_mm / options.pixel_mm
+    ball_px = options.ball_radius_mm / options.side_mm
     step = np.median(offsets[touched] - ball_px * found[:, :2], axis=0)
     length = float(np.linalg.norm(step))
     return np.asarray(offset_px + step * min(1.0, reach_px / max(length, 1e-9)))
@@ -287,7 +287,7 @@ def fit_label_offset(samples: list[PressSamples], level: Vector3, options: Press
         normals, rgb = pairs.normals[pairs.touched], pairs.rgb[pairs.touched]
         found = normals_from_stereographic(first_estimate(rgb @ response.inverse.T))
         tilt = np.median(found[:, :2] - normals[:, :2], axis=0)
-        step = -tilt * options.ball_radius_mm / options.pixel_mm
+        step = -tilt * options.ball_radius_mm / options.side_mm
         offset = offset + step
         length = float(np.linalg.norm(offset))
         if length > reach:

@@ -60,9 +60,9 @@ class PressPairs:
 def normals_of_press(press: Press, options: PressOptions, shape: tuple[int, int]) -> tuple[Points, Mask]:
     """Normals (h, w, 3), camera frame, and the mask of the contact. Raises where the contact is too wide."""
     v, u = np.indices(shape)
-    offset_mm = np.stack([u - press.u_px, v - press.v_px], axis=-1) * options.pixel_mm
+    offset_mm = np.stack([u - press.u_px, v - press.v_px], axis=-1) * options.side_mm
     distance = np.linalg.norm(offset_mm, axis=-1)
-    contact_mm = press.radius_px * options.pixel_mm
+    contact_mm = press.radius_px * options.side_mm
     if contact_mm >= options.ball_radius_mm:
         raise BadCalibration(
             f"calibrate presses: a contact circle of {contact_mm:.2f} mm is not narrower than the ball of "
@@ -124,7 +124,7 @@ def pairs_from_samples(
         offsets = part.offsets_px(own[number])
         distance = np.linalg.norm(offsets, axis=1)
         touched = distance < options.contact_share * part.press.radius_px
-        xy = np.where(touched[:, None], offsets * options.pixel_mm / options.ball_radius_mm, 0.0)
+        xy = np.where(touched[:, None], offsets * options.side_mm / options.ball_radius_mm, 0.0)
         normals = np.column_stack([xy, -np.sqrt(np.maximum(1.0 - (xy**2).sum(axis=1), 0.0))])
         used = touched | (distance > _FLAT_RADII * part.press.radius_px)
         presses = np.full(int(used.sum()), number, dtype=np.int64)
