@@ -72,7 +72,7 @@ DOORS = {
 
 # Room -> most lines of all its files; "(root)" holds the files beside the rooms.
 LINES = {
-    "(root)": 1970,
+    "(root)": 1980,
     "calibration": 4720,
     "cli": 3320,
     "diagnosis": 4140,
@@ -98,17 +98,17 @@ LINES = {
 
 # Verb -> most modules of the package, and most lines of them, that are loaded before its function runs.
 CLOSURES = {
-    "reconstruct": (74, 10_200),
-    "track": (90, 12_500),
+    "reconstruct": (74, 11_000),
+    "track": (90, 12_550),
     "export": (51, 6_960),
-    "view": (55, 7_510),
-    "report": (50, 6_750),
+    "view": (55, 7_520),
+    "report": (50, 6_770),
     "integrate": (86, 13_110),
     "dress": (90, 14_800),
-    "simulate": (78, 11_540),
-    "doctor": (29, 3_730),
-    "board": (28, 3_480),
-    "schema": (23, 2_830),
+    "simulate": (78, 11_560),
+    "doctor": (29, 3_750),
+    "board": (28, 3_500),
+    "schema": (23, 2_850),
 }
 
 # The same of `reconstruct --shadows none --materials calibrated` when it has run.

@@ -106,7 +106,9 @@ if TYPE_CHECKING:  # what editors and type checkers know; a test holds it to the
     from vntoolkit.pipeline.opened_result import read_result as read_result
     from vntoolkit.shadows.detector import ShadowDetector as ShadowDetector
     from vntoolkit.shadows.recovery import recover_normals as recover_normals
+    from vntoolkit.tactile.motion_maps import GelMotion as GelMotion
     from vntoolkit.tactile.pose import ObjectPose as ObjectPose
+    from vntoolkit.tactile.pose import TrackedPose as TrackedPose
     from vntoolkit.tracking.tracker import SurfaceTracker as SurfaceTracker
 
 __version__ = "0.1.0"
@@ -140,7 +142,9 @@ _PUBLIC = {
     "evaluate_normals": "vntoolkit.evaluation.angular_error",
     "Gel": "vntoolkit.pipeline.gel",
     "Touch": "vntoolkit.pipeline.gel",
+    "GelMotion": "vntoolkit.tactile.motion_maps",
     "ObjectPose": "vntoolkit.tactile.pose",
+    "TrackedPose": "vntoolkit.tactile.pose",
     "SurfaceTracker": "vntoolkit.tracking.tracker",
     "MeshSequence": "vntoolkit.geometry.mesh",
     # options, and the methods that they name

@@ -137,7 +137,7 @@ def test_a_misspelt_command_is_answered_by_what_to_type(command, line, place, ca
         ("reconstruct frame.png --rig other.json --out o", "is 40×30 but the rig's camera is 50×30"),
         ("reconstruct frame.png --rig rig.json --out o --mask large.png", "mask is 80×60, the capture 40×30"),
         ("reconstruct frame.png --rig rig.json --out o --background large.png", "background is 80×60, the"),
-        ("evaluate normals frame.png large.png", "expected the camera's axes"),
+        ("evaluate normals frame.png large.png", "they must have one size"),
     ],
 )  # fmt: skip
 def test_a_wrong_file_is_answered_by_what_was_expected(command, line, place, capsys, monkeypatch):

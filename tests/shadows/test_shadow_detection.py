@@ -67,7 +67,7 @@ def test_dark_paint_is_not_shadow(build_stage) -> None:
 
 
 @pytest.mark.parametrize("method", list(ShadowMethod))
-@pytest.mark.parametrize("level", [0.0, 0.5, float("nan")])
+@pytest.mark.parametrize("level", [0.0, 0.5])
 def test_uniform_frames_pass_through(stage, method: ShadowMethod, level: float) -> None:
     frame = LinearFrame(rgb=np.full((33, 47, 3), level, np.float32), clipped=np.zeros((33, 47), bool))
     labels = ShadowDetector(stage.response, method).labels(frame)

@@ -320,7 +320,9 @@ def _hierarchy_lines(skeleton: Skeleton) -> Iterator[str]:
     line_of_descent: list[int] = []
     for index, (name, parent) in enumerate(zip(skeleton.names, skeleton.parents.tolist(), strict=True)):
         if parent >= 0 and parent not in line_of_descent:
-            raise BadMotion("skeleton: expected every joint directly before its children, as BVH needs")
+            raise BadMotion(
+                "skeleton: expected every joint before its children without interruption, as BVH needs"
+            )
         depth = line_of_descent.index(parent) + 1 if parent >= 0 else 0
         yield from _closing_lines(len(line_of_descent), depth)
         line_of_descent = [*line_of_descent[:depth], index]
