@@ -87,7 +87,7 @@ LINES = {
     "normals": 1570,
     "options": 1730,
     "photometry": 1060,
-    "pipeline": 8000,
+    "pipeline": 8010,
     "report": 3150,
     "shadows": 3080,
     "simulation": 3570,

@@ -129,6 +129,16 @@ def test_frames_of_a_folder_and_what_later_verbs_make_of_them(tmp_path):
     assert (tmp_path / "out" / "report.html").exists()
 
 
+def test_numbers_that_are_missing_from_a_folder_are_said(tmp_path, caplog):
+    _, normals, mask = ball()
+    for number in (3, 4, 7):
+        write_png(tmp_path / f"n{number}.png", encoded(normals, mask, NormalConvention.OPENGL))
+    with caplog.at_level(logging.WARNING):
+        result = integrate(tmp_path, out=tmp_path / "out")
+    assert "numbers are missing between n3.png and n7.png: the maps become frames 0 to 2" in caplog.text
+    assert list(result.numbers) == [0, 1, 2]
+
+
 def test_an_interrupted_folder_goes_on_where_it_stopped(tmp_path):
     """The second time, the frames that are there are not written again, and all depths are as at once."""
     _, normals, mask = ball()

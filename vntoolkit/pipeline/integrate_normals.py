@@ -21,7 +21,7 @@ from vntoolkit.integration.integrate import DepthAnchor, DepthIntegrator
 from vntoolkit.io.files import read_text
 from vntoolkit.io.footage.captures import Capture, open_capture
 from vntoolkit.io.footage.frame_range import FrameRange
-from vntoolkit.io.footage.sequence import natural_key
+from vntoolkit.io.footage.sequence import natural_key, stated_numbers
 from vntoolkit.io.maps_and_meshes.masks import read_mask
 from vntoolkit.io.maps_and_meshes.stored_normals import (
     SUFFIXES,
@@ -85,6 +85,12 @@ def open_normals(source: str) -> NormalSource:
         )
     if path.is_file():
         folder = path.parent
+    stated = stated_numbers(files)
+    if stated and len(set(np.diff(stated))) > 1:
+        logger.warning(
+            "%s: numbers are missing between %s and %s: the maps become frames 0 to %d in the order of "
+            "their names", source, files[0].name, files[-1].name, len(files) - 1,
+        )  # fmt: skip
 
     def readers(numbers: tuple[int, ...]) -> Iterator[tuple[int, Reader]]:
         for number in numbers:

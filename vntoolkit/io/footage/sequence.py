@@ -85,7 +85,7 @@ def _find(text: str) -> CaptureFiles:
 
 def _sequence(files: tuple[Path, ...], left_out: tuple[Path, ...] = ()) -> CaptureFiles:
     files = tuple(sorted(files, key=natural_key))
-    stated = _stated_numbers(files)
+    stated = stated_numbers(files)
     numbers = tuple(range(len(files)))
     missing: dict[int, str] = {}
     steps = {after - before for before, after in pairwise(stated)}
@@ -111,7 +111,7 @@ def _sequence(files: tuple[Path, ...], left_out: tuple[Path, ...] = ()) -> Captu
     )
 
 
-def _stated_numbers(files: tuple[Path, ...]) -> tuple[int, ...]:
+def stated_numbers(files: tuple[Path, ...]) -> tuple[int, ...]:
     """Return the number in each name, ascending, if the names differ in one number alone; else nothing."""
     if len({pattern_of(path) for path in files}) > 1:
         return ()
