@@ -9,7 +9,6 @@ from __future__ import annotations
 import os
 import re
 import shlex
-import shutil
 import signal
 import subprocess
 import sys
@@ -108,19 +107,6 @@ def run_step(step: Step, folder: Path) -> str:
 def next_of(printed: str) -> list[Step]:
     """Return the commands of this program that a text names as the next ones."""
     return [Step("sh", text, 0) for text in re.findall(r"(?m)^next: (vntoolkit .*)$", printed)]
-
-
-def run_next(step: Step, folder: Path, scratch: Path) -> None:
-    """Run such a command in a copy of the folder, where what it writes does not exist yet."""
-    shutil.copytree(folder, scratch, copy_function=os.link)
-    words = shlex.split(step.text)
-    target = scratch / words[words.index("--out") + 1] if "--out" in words else None
-    if target is not None and target.is_dir():
-        shutil.rmtree(target)
-    elif target is not None:
-        target.unlink(missing_ok=True)
-    run_step(step, scratch)
-    shutil.rmtree(scratch)
 
 
 def _run_server(step: Step, folder: Path, environment: dict[str, str]) -> str:
