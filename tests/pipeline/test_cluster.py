@@ -105,7 +105,7 @@ def small_cluster(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[str, list[s
     [
         ((0,), signal.SIGKILL, "the Dask scheduler"),
         ((0,), signal.SIGSTOP, "the Dask scheduler does not answer any more"),
-        ((1, 2), signal.SIGKILL, "no worker of the Dask scheduler|workers, and what they held"),
+        ((1, 2), signal.SIGKILL, "no worker of the Dask scheduler|workers have ended, with what they held"),
         ((1, 2), signal.SIGSTOP, "the Dask worker tcp://.* does not answer any more"),
         ((1,), signal.SIGSTOP, "the Dask worker tcp://.* does not answer any more"),
         ((1,), signal.SIGKILL, ""),
