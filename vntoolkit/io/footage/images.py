@@ -189,7 +189,7 @@ def _decoded_by_tifffile(
         with tifffile.TiffFile(io.BytesIO(data)) as tiff:
             page: Any = tiff.pages[0]
             values: Array = page.asarray()
-    except (ValueError, KeyError, TypeError, RuntimeError, OSError, struct.error) as problem:
+    except (ValueError, KeyError, TypeError, RuntimeError, OSError, ArithmeticError, struct.error) as problem:
         raise error(
             f"{path}: its samples are damaged, or compressed in a way that is not read; save them without "
             "compression"
@@ -473,7 +473,7 @@ def _tiff(stream: BinaryIO, name: str, error: type[BadInput]) -> ImageHeader:
                 mosaic_at=page.tags[_PHOTOMETRIC].valueoffset if page.photometric == _MOSAIC else 0,
                 bayer=_BAYER_BY_CODES.get(bytes(page.tags.valueof(_CFA_PATTERN, b""))),
             )
-    except (tifffile.TiffFileError, AttributeError, TypeError, OverflowError) as problem:
+    except (tifffile.TiffFileError, AttributeError, TypeError, ArithmeticError) as problem:
         raise ValueError(str(problem)) from problem
 
 
