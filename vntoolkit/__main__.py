@@ -31,9 +31,9 @@ _REFUSALS_OF_THE_SYSTEM = {
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line; return the exit status: 0 done, 1 error, 70 internal error, 130 interrupted."""
-    from vntoolkit.threads import thread_policy
-
     try:
+        from vntoolkit.threads import thread_policy  # inside: a Ctrl-C while it loads leaves no traceback
+
         with _no_interrupt_lost(), thread_policy():
             return _run(arguments)
     except KeyboardInterrupt as interrupt:
