@@ -15,10 +15,7 @@ from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import HALF_WEIGHT_DEG, DepthMap, LengthUnit, NormalMap
 from vntoolkit.integration.cast_shadows import DepthSteps, with_steps
 from vntoolkit.integration.discontinuity import SlopeErrors, solve_discontinuous
-from vntoolkit.integration.edges import (
-    Components,
-    edges_from_slopes,
-)
+from vntoolkit.integration.edges import Components, edges_from_slopes
 from vntoolkit.integration.poisson import CosineSolver, FourierSolver, MaskedSolver, RectangleSolver
 from vntoolkit.integration.slopes import RayField, rays_from_camera, slopes_from_normals
 from vntoolkit.native import njit

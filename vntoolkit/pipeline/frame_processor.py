@@ -151,8 +151,8 @@ class FrameProcessor:
         from the frame before; None for a frame alone. Raises `NoSubject` where it has no usable pixel.
         """
         carried = carried or Carried()
-        linear = self.prepared(frame, matte, carried)
-        result = self.normals(linear)
+        prepared = self.prepared(frame, matte, carried)
+        result = self.normals(prepared)
         result = self.with_depth(result, carried)
         return self.with_mesh(result, frame)
 

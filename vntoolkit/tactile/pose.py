@@ -69,7 +69,8 @@ class TrackedPose:
     contact is too small, or nothing of it was seen before; the pose is then the last known. error_deg,
     error_mm: what nine of ten turns, and positions of the contact's middle, stay within, along the directions
     that are observable. unobservable: (k, 6), unit motions (ω in radians, τ in contact radii) about the
-    contact's middle. information: (6,), of those and the other directions, over that of noise, ascending.
+    contact's middle. information: (5,), the share of each direction's that two frames agree on, ascending;
+    the sixth direction, along the line of sight, the depth tells.
     keyframe: the number it was aligned to.
     """
 
