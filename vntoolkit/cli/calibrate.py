@@ -12,7 +12,7 @@ from vntoolkit.calibration.ball_lamps import LitBall
 from vntoolkit.calibration.fit import ResponseFit
 from vntoolkit.cli.given import curve_from_text, rectification_from_corners, rig_with_corners
 from vntoolkit.cli.output import JSON, MESH, PAGE, PICTURE, ProgressBars, print_next, require_output, say
-from vntoolkit.cli.verb import command, verb
+from vntoolkit.cli.verb import verb
 from vntoolkit.diagnosis.finding import judge, require_known_checks
 from vntoolkit.diagnosis.rig_checks import check_lamps, check_residual
 from vntoolkit.diagnosis.transfer_match import check_transfer_of_samples
@@ -440,11 +440,3 @@ def _report_rectified(
     say(f"{asked.out}: {count} images of {width}×{height}, {rectification.pixel_mm:g} mm a pixel")
     ball = ("--ball-radius-mm", "2", "--pixel-mm", f"{rectification.pixel_mm:g}")
     print_next("calibrate", "presses", str(asked.out), "--background", "gel.png", *ball, "--out", "gel.json")
-
-
-sphere_command = command(calibrate_sphere)
-board_command = command(calibrate_board)
-lights_command = command(calibrate_lights)
-head_command = command(calibrate_head)
-presses_command = command(calibrate_presses)
-rectify_command = command(rectify)

@@ -6,7 +6,7 @@ from statistics import median
 from typing import TYPE_CHECKING
 
 from vntoolkit.cli.output import ProgressBars, print_next, say
-from vntoolkit.cli.verb import command, verb
+from vntoolkit.cli.verb import verb
 from vntoolkit.geometry.mesh import MeshSequence
 from vntoolkit.io.results.sequences import read_mesh_sequence
 from vntoolkit.options.tracking import CheckerboardOptions, TrackArguments
@@ -51,9 +51,6 @@ def _report_poses(poses: "list[TrackedPose]") -> None:
         line += f"{max(p.error_mm for p in known):.2f} mm; unobservable directions: "
         line += f"{max(len(p.unobservable) for p in known)}"
     say(line)
-
-
-track_command = command(track)
 
 
 def _report(summary: TrackSummary) -> None:
