@@ -32,7 +32,6 @@ from vntoolkit.options.calibration import (
     LightColoursName,
     PressOptions,
     ResponseFitOptions,
-    SphereOptions,
 )
 from vntoolkit.options.footage import MatteOptions, PictureLimits, SensorOptions
 from vntoolkit.options.head import HeadOptions
@@ -88,7 +87,7 @@ class FootageArguments(
 
 
 @dataclass(frozen=True, kw_only=True)
-class SphereArguments(FootageArguments, MatteOptions, SphereOptions, ResponseFitOptions):
+class SphereArguments(FootageArguments, MatteOptions, ResponseFitOptions):
     """What `calibrate_sphere` takes."""
 
     source: Source = field(kw_only=False)
@@ -102,7 +101,7 @@ class SphereArguments(FootageArguments, MatteOptions, SphereOptions, ResponseFit
 def calibrate_sphere(asked: SphereArguments) -> Rig:
     """Calibrate on a matte ball of the material, at rest under all lights, or one after the other."""
     job = asked.job(str(asked.source), mask=asked.mask, matting=asked.part(MatteOptions))
-    rig, result = calibrate.calibrate_sphere(job, asked.part(SphereOptions))
+    rig, result = calibrate.calibrate_sphere(job, asked.part(ResponseFitOptions))
     _keep(Path(asked.out), rig, job, result.fit)
     (u, v), radius = result.outline.centre_px, result.outline.radius_px
     report_rig(Path(asked.out), rig, f"ball at ({u:.1f}, {v:.1f}), radius {radius:.1f} px")

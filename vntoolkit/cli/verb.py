@@ -48,13 +48,13 @@ _PANELS: dict[str, tuple[str, ...]] = {
     "Method": (),
     "Output": (
         "out", "to", "overwrite", "figure", "overlay", "report", "html", "mesh", "preview", "page",
-        "record_to", "vertices", "picture_px", "most_frames", "picture_height", "units", "up", "scale",
+        "record_to", "vertices", "most_frames", "units", "up", "scale",
     ),
     "Machine": ("jobs", "scheduler", "host", "port", "max_megapixels", "max_vertices"),
     "Expert": (
         "albedo_tolerance", "darkest", "clipped", "steepest_slope_deg", "least_weight", "precision",
         "tolerance", "most_iterations", "largest_step", "shadow_share", "outlier_sigmas", "inlier_share",
-        "largest_error_px", "radial_terms", "tangential", "rim_share", "contact_share", "flat_share",
+        "radial_terms", "tangential", "contact_share",
         "threshold", "neighbours",
     ),
 }  # fmt: skip
