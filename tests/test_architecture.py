@@ -72,9 +72,9 @@ DOORS = {
 
 # Room -> most lines of all its files; "(root)" holds the files beside the rooms.
 LINES = {
-    "(root)": 1980,
+    "(root)": 1830,
     "calibration": 4720,
-    "cli": 3320,
+    "cli": 3300,
     "diagnosis": 4140,
     "evaluation": 1100,
     "geometry": 1810,
@@ -85,15 +85,15 @@ LINES = {
     "materials": 2900,
     "meshing": 280,
     "normals": 1570,
-    "options": 1730,
+    "options": 1700,
     "photometry": 1060,
-    "pipeline": 8010,
+    "pipeline": 8000,
     "report": 3150,
     "shadows": 3080,
-    "simulation": 3570,
+    "simulation": 3540,
     "skinning": 2070,
     "tactile": 2110,
-    "tracking": 3300,
+    "tracking": 3290,
 }
 
 # Verb -> most modules of the package, and most lines of them, that are loaded before its function runs.
