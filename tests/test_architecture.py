@@ -98,17 +98,17 @@ LINES = {
 
 # Verb -> most modules of the package, and most lines of them, that are loaded before its function runs.
 CLOSURES = {
-    "reconstruct": (74, 11_000),
-    "track": (90, 12_550),
-    "export": (51, 6_960),
-    "view": (55, 7_520),
-    "report": (50, 6_770),
-    "integrate": (86, 13_110),
-    "dress": (90, 14_800),
-    "simulate": (78, 11_560),
-    "doctor": (29, 3_750),
-    "board": (28, 3_500),
-    "schema": (23, 2_850),
+    "reconstruct": (74, 10_870),
+    "track": (90, 12_420),
+    "export": (51, 6_870),
+    "view": (55, 7_460),
+    "report": (50, 6_710),
+    "integrate": (85, 12_910),
+    "dress": (90, 14_660),
+    "simulate": (78, 11_430),
+    "doctor": (29, 3_700),
+    "board": (28, 3_440),
+    "schema": (23, 2_780),
 }
 
 # The same of `reconstruct --shadows none --materials calibrated` when it has run.
