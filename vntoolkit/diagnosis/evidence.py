@@ -9,7 +9,6 @@ import cv2
 import numpy as np
 
 from vntoolkit.arrays import Array, BoolArray, ByteArray, Float32Array, FloatArray, Int64Array, Mask, Matrix3
-from vntoolkit.materials.paint_levels import in_one_paint
 from vntoolkit.photometry import transfer as transfers
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.rig import Rig
@@ -113,6 +112,8 @@ class Evidence:
     @cached_property
     def levelled(self) -> "Evidence":
         """The same footage as if its subject were of one paint; the steps of paint are told without M."""
+        from vntoolkit.materials.paint_levels import in_one_paint
+
         brightest = brightest_channel(self.light)
         subject = self.inside & ~self.clipped & (brightest > SUBJECT * np.percentile(brightest, 99))
         levelled = [

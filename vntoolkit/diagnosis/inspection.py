@@ -13,7 +13,6 @@ from vntoolkit.diagnosis import evidence as evidences
 from vntoolkit.diagnosis import flicker
 from vntoolkit.diagnosis import sharpness as sharp
 from vntoolkit.diagnosis.checks import findings_from_evidence, findings_from_rig
-from vntoolkit.diagnosis.empty_frames import finding_from_empty_frames
 from vntoolkit.diagnosis.finding import Finding, Level
 from vntoolkit.diagnosis.header_checks import (
     CHROMA_COST_DEG,
@@ -103,7 +102,7 @@ def inspect_capture(
     shown: Sequence[int] = capture.present
     if rig is None or rig.gel is None or capture.background is None:
         from vntoolkit.diagnosis.steps import steps_of
-        from vntoolkit.diagnosis.subject import survey_of
+        from vntoolkit.diagnosis.subject import finding_from_empty_frames, survey_of
 
         survey = survey_of(capture, mattes, capture.present)
         shown = survey.frames_like(survey.shown, capture.present)

@@ -20,10 +20,9 @@ from vntoolkit.io import atomic
 from vntoolkit.io.conventions import graphics_from_camera
 from vntoolkit.io.maps_and_meshes.maps import write_normal_map
 from vntoolkit.io.maps_and_meshes.texture import SurfaceTexture
-from vntoolkit.io.results.folder import FolderKind, begin_run, read_lock, write_lock
+from vntoolkit.io.results.folder import FolderKind, begin_run, option_values, read_lock, write_lock
 from vntoolkit.options.export import INSPECTED, ExportedSurface, ExportFormat, ExportOptions, FileUnit
 from vntoolkit.pipeline.opened_result import OpenedResult, read_result
-from vntoolkit.pipeline.options import option_values
 from vntoolkit.pipeline.texture_files import texture_of_tracks, with_captured_colours
 
 if TYPE_CHECKING:

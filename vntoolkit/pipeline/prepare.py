@@ -18,7 +18,6 @@ from vntoolkit.io.results.manifest import Known, MaterialEntry
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline.frame_processor import FrameProcessor
-from vntoolkit.pipeline.recorded_findings import entries_of
 from vntoolkit.pipeline.request import Footage, Request, seeks_materials
 
 if TYPE_CHECKING:
@@ -73,7 +72,7 @@ def prepare(request: Request, footage: Footage, numbers: Sequence[int]) -> Known
 
 def _known(found: dict[str, object], steps: Sequence[Finding], examined: "Examination") -> Known:
     blur_px = round(examined.blur_px, _DIGITS_OF_BLUR)
-    findings = entries_of([*steps, *examined.findings])
+    findings = [finding.entry for finding in (*steps, *examined.findings)]
     return Known.model_validate(found | {"blur_px": blur_px, "findings": findings})
 
 

@@ -18,7 +18,7 @@ from vntoolkit.geometry.maps import DepthMap, NormalMap
 from vntoolkit.geometry.mesh import MeshSequence
 from vntoolkit.io.atomic import atomic_path
 from vntoolkit.io.maps_and_meshes.arrays import read_npz
-from vntoolkit.io.results.folder import begin_run, read_lock, require_same_request, write_lock
+from vntoolkit.io.results.folder import begin_run, option_values, read_lock, require_same_request, write_lock
 from vntoolkit.io.results.seams import read_seams
 from vntoolkit.io.results.sequences import MeshSequenceWriter, read_mesh_sequence
 from vntoolkit.io.rigs import entry_from_camera
@@ -26,7 +26,6 @@ from vntoolkit.options.tracking import TrackArguments, Tracker, TrackingOptions
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.pipeline.opened_result import OpenedResult, read_result
-from vntoolkit.pipeline.options import option_values
 from vntoolkit.pipeline.tracked_folder import MEMORY_NAME, TRACKS, TRACKS_VERSION, remove_backwards
 from vntoolkit.tracking.paint import Paint, paint_of_frame
 from vntoolkit.tracking.running_template import RunningTemplate
