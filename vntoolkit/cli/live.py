@@ -13,8 +13,8 @@ import numpy as np
 from vntoolkit.cli.given import rectification_from_corners, rig_with_corners
 from vntoolkit.cli.output import print_next, say
 from vntoolkit.cli.verb import command, verb
-from vntoolkit.diagnosis.checks import findings_from_rig
 from vntoolkit.diagnosis.finding import judge, require_known_checks
+from vntoolkit.diagnosis.rig_checks import findings_from_rig
 from vntoolkit.errors import BadInput, VntError
 from vntoolkit.io.footage.captures import CaptureOptions, open_capture
 from vntoolkit.io.footage.decoding import EncodedFrame

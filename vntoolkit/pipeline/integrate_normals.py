@@ -12,7 +12,7 @@ import numpy as np
 
 from vntoolkit.arrays import Mask
 from vntoolkit.checks import require_some
-from vntoolkit.diagnosis.outline import likeliest_convention
+from vntoolkit.diagnosis.axes import likeliest_convention
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera, CameraModel
 from vntoolkit.geometry.maps import LengthUnit, NormalMap
