@@ -16,7 +16,6 @@ from vntoolkit.io.footage.video import write_video
 from vntoolkit.pipeline.dress import DressedFigure, floor_height
 from vntoolkit.pipeline.threads import stepped
 from vntoolkit.report.pictures import write_tiles
-from vntoolkit.report.result_scene import thinned_template
 from vntoolkit.skinning.findings import STRETCHED, is_outside
 
 BACKGROUND = (0.93, 0.94, 0.96)
@@ -166,6 +165,8 @@ class _Stage:
 
     def __init__(self, dressed: DressedFigure, *, coarse: bool = False) -> None:
         """coarse: with fewer triangles, for pictures that are seen for a moment."""
+        from vntoolkit.report.result_scene import thinned_template
+
         self._dressed, self._meter, self._floor = dressed, dressed.meter(), floor_height(dressed.motion)
         template = dressed.template
         self._colours = np.full((len(template.vertices), 3), _CLOTH_COLOUR, np.float32)
