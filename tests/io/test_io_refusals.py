@@ -7,6 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import tifffile
 
 from vntoolkit.errors import BadCapture, BadInput, BadMesh, CannotWrite
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
@@ -141,6 +142,14 @@ def test_images_of_other_samples_and_damage(tmp_path):
     assert cv2.imwrite(str(path), np.zeros((4, 5), np.int32))
     with pytest.raises(BadCapture, match="expected 8-bit, 16-bit or float samples, got int32"):
         read_image(path)
+    for packing in ("zlib", "lzma"):
+        values = np.random.default_rng(1).random((9, 9, 3)).astype(np.float16)
+        tifffile.imwrite(path, values, photometric="rgb", compression=packing)
+        content = bytearray(path.read_bytes())
+        content[-200:-100] = bytes(100)
+        path.write_bytes(content)
+        with pytest.raises(BadCapture, match="its samples are damaged, or compressed in a way"):
+            read_image(path)
     write_png(tmp_path / "a.png", np.zeros((4, 5, 3), np.uint8))
     content = bytearray((tmp_path / "a.png").read_bytes())
     content[45] ^= 1

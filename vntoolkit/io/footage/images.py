@@ -184,13 +184,16 @@ def _decoded_by_tifffile(
     data: bytes, header: "ImageHeader", path: Path | str, error: type[BadInput]
 ) -> Array:
     """Return half floats, or channels stored apart, as OpenCV does others: upright and in its order."""
+    import lzma
+
     import tifffile
 
+    damages = (*_UNREAD, RuntimeError, ArithmeticError, EOFError, zlib.error, lzma.LZMAError)
     try:
         with tifffile.TiffFile(io.BytesIO(data)) as tiff:
             page: Any = tiff.pages[0]
             values: Array = page.asarray()
-    except (ValueError, KeyError, TypeError, RuntimeError, OSError, ArithmeticError, struct.error) as problem:
+    except damages as problem:
         raise error(
             f"{path}: its samples are damaged, or compressed in a way that is not read; save them without "
             "compression"
