@@ -195,11 +195,16 @@ def _folder_of_series(folder: Path, rng: Rng) -> Change:
     take.mkdir()
     count = int(rng.integers(2, 5))
     names, refused = [f"f_{k:03d}" for k in range(count + 2)], ""
-    way = int(rng.integers(5))
-    if way == 0:
+    way = int(rng.integers(6))
+    if way == 5:  # a clock, or a camera's counter
+        clock = [f"12-{s // 60:02d}-{s % 60:02d}" for s in range(57, 57 + 2 * count)]
+        counter = ["100_9998", "100_9999", "101_0001", "101_0002"]
+        names = chosen(rng, (clock, counter))
+    elif way == 0:
         names += [f"g_{k:03d}" for k in range(count)]
     elif way == 1:
-        names = [f"take{n}_{k:03d}" for n in (1, 2) for k in range(count + n)]
+        first = chosen(rng, ((0, 0), (7, 3), (3, 40)))  # together, or where each was cut to
+        names = [f"take{n}_{k:03d}" for n in (1, 2) for k in range(first[n - 1], first[n - 1] + count + n)]
     elif way == 2:
         names += ["mask"]
     elif way == 3:
