@@ -1,6 +1,7 @@
 """Each reader and writer refuses what it cannot serve by one line: the file, what was expected, what came."""
 
 import struct
+import warnings
 import zlib
 from pathlib import Path
 
@@ -115,6 +116,22 @@ def test_exr_files_of_other_channels_units_and_conventions(tmp_path):
     write_exr(path, dict.fromkeys("RGB", PLANE), attributes={convention: "sideways"})
     with pytest.raises(BadInput, match="unknown normal convention 'sideways'"):
         read_normal_map(path)
+
+
+def test_normals_that_are_infinite_where_there_is_no_subject_are_passed_over_in_silence(tmp_path):
+    path = tmp_path / "a.exr"
+    planes = {"R": PLANE * 0, "G": PLANE * 0, "B": np.ones_like(PLANE), "A": np.ones_like(PLANE)}
+    planes["R"][0, 0], planes["A"][0, 0] = np.inf, 0
+    write_exr(path, planes)
+    np.savez(tmp_path / "a.npz", normals=np.full((4, 5, 3), 1e300))
+    planes["R"][0, 1] = 1e38
+    write_exr(path, planes)
+    with warnings.catch_warnings(action="error"):
+        found = read_normal_map(path)
+        with pytest.raises(BadInput, match="got none of length"):
+            read_normal_map(tmp_path / "a.npz")
+    assert not found.mask[0, :2].any()
+    assert (found.normals_in_camera[0, :2] == 0).all()
 
 
 def test_exr_headers_that_cannot_be(tmp_path):
