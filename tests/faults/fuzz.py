@@ -128,10 +128,11 @@ def _start(seed: int, specimens: list[tuple[str, Path]], folder: Path) -> _Worke
 
 
 def _work(pipe: Connection, seed: int, specimens: list[tuple[str, Path]], scratch: Path) -> None:
+    os.setsid()  # so that its time is told from that of others
+
     from cases import run_case
     from specimens import KINDS
 
-    os.setsid()  # so that its time is told from that of others
     faulthandler.enable()
     for kind in {kind for kind, _ in specimens}:  # imports and compilation are not a case's time
         KINDS[kind].read(next(path for k, path in specimens if k == kind))

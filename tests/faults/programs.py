@@ -98,6 +98,6 @@ def _processor_s(session: int) -> float:
     for path in Path("/proc").glob("[0-9]*/stat"):
         with contextlib.suppress(OSError):
             values = path.read_text(errors="replace").rpartition(")")[2].split()
-            if int(values[3]) == session:
+            if session in (int(path.parent.name), int(values[3])):  # the first may not lead it yet
                 ticks += sum(map(int, values[11:15]))
     return ticks / _TICKS_PER_S
