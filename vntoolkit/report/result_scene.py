@@ -139,7 +139,7 @@ class _ResultScene:
         result, track = self._result, self._track
         at = 0 if track is None else int(np.argmin(np.abs(np.array(self.numbers) - track.template)))
         return {
-            "rate": result.manifest.input.playing_rate_hz * len(self.numbers) / len(result.numbers),
+            "times_s": result.manifest.input.times_of(self.numbers).tolist(),
             "numbers": self.numbers,
             "surfaces": self.surfaces,
             "template": at,
