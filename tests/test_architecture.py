@@ -89,7 +89,7 @@ LINES = {
     "photometry": 1060,
     "pipeline": 8010,
     "report": 3150,
-    "shadows": 3080,
+    "shadows": 2320,
     "simulation": 3570,
     "skinning": 2070,
     "tactile": 2110,

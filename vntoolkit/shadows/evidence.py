@@ -37,7 +37,7 @@ STRONGEST_EVIDENCE = 4.0
 _TOLERANCE_DARK = 0.04  # change of a cosine that is one unit of evidence where none is predicted
 _TOLERANCE_BRIGHT = 0.05  # what each unit of predicted cosine adds to that
 _PAINT_PART = 0.5  # dark paint: all three cosines are below this part of the predicted ones …
-_PAINT_COSINE = 0.12  # … and above this one
+PAINT_COSINE = 0.12  # … and above this one
 
 # The evidence of the albedo, in the same units.
 _COMPARISON = 4.0  # per squared log albedo, 1 / 2σ²: nearer to the albedo with the light or without
@@ -55,9 +55,12 @@ def typical_dark_cosine(
     light favours none. A part whose surface is predicted wrongly makes one light look missing there that is
     not, and would raise the level for itself; it seldom does so for all three.
     """
-    missing = (predicted > _SURELY_PREDICTED) & (cosines < _MISSING_RATIO * predicted) & mask[..., None]
-    less_noise = cosines - (CONTRIBUTION_NOISE / np.maximum(albedo, _SMALLEST_ALBEDO))[..., None]
-    found = [less_noise[..., k][missing[..., k]] for k in range(3)]
+    found = []
+    for k in range(3):
+        seen, surface = cosines[..., k], predicted[..., k]
+        missing = mask & (surface > _SURELY_PREDICTED) & (seen < _MISSING_RATIO * surface)
+        noise = CONTRIBUTION_NOISE / np.maximum(albedo[missing], _SMALLEST_ALBEDO)
+        found.append(seen[missing] - noise)
     levels = [np.percentile(values, (10, 50)) for values in found if len(values) >= _FEWEST_MISSING]
     if not levels:
         return 0.0, _UNKNOWN_SPREAD
@@ -87,7 +90,7 @@ def _paint_kernel(cosines: FloatArray, predicted: FloatArray, out: FloatArray) -
             x, y = a / max(surface[i], least), b / max(surface[i + 1], least)
             z, high = c / max(surface[i + 2], least), max(x, y)
             typical = max(min(x, y), min(high, z))
-            painted = (max(high, z) < part) & (typical > np.float32(_PAINT_COSINE))
+            painted = (max(high, z) < part) & (typical > np.float32(PAINT_COSINE))
             scale = one / (typical if painted else one)
             to[i], to[i + 1], to[i + 2] = a * scale, b * scale, c * scale
 

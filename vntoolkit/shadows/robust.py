@@ -25,7 +25,7 @@ from vntoolkit.shadows.contributions import (
     contributions_from_frame,
     working_image,
 )
-from vntoolkit.shadows.evidence import evidence_of_lights, typical_dark_cosine, without_paint
+from vntoolkit.shadows.evidence import PAINT_COSINE, evidence_of_lights, typical_dark_cosine, without_paint
 from vntoolkit.shadows.graph_cut import Nodes, bonds_of_light, lit_by_cut
 from vntoolkit.shadows.shadow_edges import lit_beyond_half, sharpened, turned_from_lights
 from vntoolkit.shadows.surface import LabelledImage, Surface, SurfaceOptions
@@ -33,6 +33,7 @@ from vntoolkit.shadows.surface import LabelledImage, Surface, SurfaceOptions
 # A cosine is 1 where a surface of the local albedo faces the light.
 _WEAK_COSINE = 0.35  # a frame without any that is less has no shadow
 _FIRST_COSINE = 0.2  # lights with less are doubted at the start
+_FIRST_ROUNDS = 3  # in which the albedo and the first doubts settle each other
 _SMOOTHNESS = 0.5  # price of a change of label between neighbours, in units of evidence
 _CONTRAST = 0.6  # see `bonds_of_light`
 _ROUNDS = 3  # alternations of surface and labels on the smallest image; most of the change comes in the first
@@ -138,10 +139,18 @@ def _cut(evidence: FloatArray, cosines: FloatArray, mask: Mask) -> BoolArray:
 
 
 def _first_lit(image: WorkingImage) -> BoolArray:
-    """Return (h, w, 3), the lights that are not weak on a surface of one albedo."""
+    """Return (h, w, 3), the lights that are not weak; all three alike are weak on dark paint."""
     length, mask = image.light.length, image.mask
     typical = float(np.median(length[mask])) if mask.any() else 1.0
-    return image.light.cosines(np.full(mask.shape, typical, np.float32)) > _FIRST_COSINE
+    albedo: FloatArray = np.full(mask.shape, typical, np.float32)
+    for _ in range(_FIRST_ROUNDS):
+        cosines = image.light.cosines(albedo)
+        lit = cosines > _FIRST_COSINE
+        brightest = cosines.max(axis=-1)
+        paint = (brightest > PAINT_COSINE) & (brightest < _FIRST_COSINE)
+        lit |= paint[..., None] & (cosines > _FIRST_COSINE * brightest[..., None])
+        albedo = albedo_from_lit(length, all_of_three(lit) & mask)
+    return lit
 
 
 def _enlarged(image: FloatArray, shape: tuple[int, ...]) -> FloatArray:

@@ -12,6 +12,10 @@ from vntoolkit.arrays import BoolArray, FloatArray, IntArray, Mask, Matrix3
 
 _REACH_PX = 2  # how far nearby is: a blur of 0.9 pixels is over by then
 _CAST_FACING = 0.2  # predicted cosine from which a shadow counts as cast
+_CAST_PART = (
+    0.45  # of the largest cosine nearby, below which a pixel beside the shadow joins it: half, less noise
+)
+_CAST_FAINTEST = 0.22  # largest cosine nearby from which there is an edge to judge
 
 # The outline.
 _OUTWARDS_PX = 1.5  # radius over which the way to it is averaged
@@ -34,8 +38,8 @@ def lit_beyond_half(lit: BoolArray, cosines: FloatArray, predicted: FloatArray, 
     inside = mask[..., None]
     cast = (~lit & inside & (predicted > _CAST_FACING)).astype(np.uint8)
     brightest = cv2.dilate(np.where(lit & inside, cosines, np.float32(0.0)), nearby)
-    below = (cosines < 0.5 * brightest) & (cv2.dilate(cast, beside) > 0)
-    return lit & ~(below & inside)
+    below = (cosines < _CAST_PART * brightest) & (brightest > _CAST_FAINTEST)
+    return lit & ~(below & (cv2.dilate(cast, beside) > 0) & inside)
 
 
 def sharpened(cosines: FloatArray, mask: Mask) -> FloatArray:
