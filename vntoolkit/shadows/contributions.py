@@ -52,9 +52,10 @@ class LightContributions:
 
     def _over(self, albedo: FloatArray, scale: Vector3) -> FloatArray:
         over = np.float32(1.0) / np.maximum(albedo, np.float32(_SMALLEST_ALBEDO))
-        relative = self.contributions * over[..., None]
-        relative -= self.ambient.astype(np.float32)
-        relative *= scale.astype(np.float32)
+        relative: FloatArray = np.empty_like(self.contributions)
+        for k in range(3):  # a fifth of the time of one product over an axis of three
+            np.multiply(self.contributions[..., k], over * np.float32(scale[k]), out=relative[..., k])
+            relative[..., k] -= np.float32(self.ambient[k] * scale[k])
         return relative
 
 
@@ -271,3 +272,9 @@ def lengths_of(vectors: FloatArray) -> FloatArray:
 def all_of_three(values: Mask) -> Mask:
     """Return where all of (..., 3) booleans are True, (...)."""
     return values[..., 0] & values[..., 1] & values[..., 2]
+
+
+def largest_of_three(values: FloatArray) -> FloatArray:
+    """Return the largest of (..., 3) values, (...)."""
+    largest: FloatArray = np.maximum(np.maximum(values[..., 0], values[..., 1]), values[..., 2])
+    return largest

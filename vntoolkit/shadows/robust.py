@@ -23,6 +23,7 @@ from vntoolkit.shadows.contributions import (
     WorkingImage,
     all_of_three,
     contributions_from_frame,
+    largest_of_three,
     working_image,
 )
 from vntoolkit.shadows.evidence import PAINT_COSINE, evidence_of_lights, typical_dark_cosine, without_paint
@@ -146,7 +147,7 @@ def _first_lit(image: WorkingImage) -> BoolArray:
     for _ in range(_FIRST_ROUNDS):
         cosines = image.light.cosines(albedo)
         lit = cosines > _FIRST_COSINE
-        brightest = cosines.max(axis=-1)
+        brightest = largest_of_three(cosines)
         paint = (brightest > PAINT_COSINE) & (brightest < _FIRST_COSINE)
         lit |= paint[..., None] & (cosines > _FIRST_COSINE * brightest[..., None])
         albedo = albedo_from_lit(length, all_of_three(lit) & mask)
