@@ -6,8 +6,8 @@ from functools import partial
 from pathlib import Path
 from typing import ClassVar
 
-from vntoolkit.cli.output import ProgressBars, print_next, say
-from vntoolkit.cli.verb import command, verb
+from vntoolkit.cli.output import ProgressBars, print_next, say, unused
+from vntoolkit.cli.verb import verb
 from vntoolkit.errors import BadInput
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.options.base import File, OptionalFile, named
@@ -79,13 +79,10 @@ def simulate(asked: SimulateArguments) -> Path:
         pressed = earlier if earlier.is_file() else video  # touches are filmed after the presses
         print_next("calibrate", "presses", pressed, "--background", rest, *ball, "--out", "gel.json")
     elif own_rig.is_file():
-        print_next("reconstruct", video, "--rig", own_rig, "--out", "result")
+        print_next("reconstruct", video, "--rig", own_rig, "--out", unused("result"))
     else:  # under one lamp
         print_next("doctor", video)
     return out
-
-
-simulate_command = command(simulate)
 
 
 def _size(text: str) -> tuple[int, int]:
