@@ -89,7 +89,7 @@ LINES = {
     "photometry": 1060,
     "pipeline": 7900,
     "report": 3140,
-    "shadows": 3080,
+    "shadows": 2330,
     "simulation": 3540,
     "skinning": 2060,
     "tactile": 2110,
