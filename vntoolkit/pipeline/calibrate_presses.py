@@ -17,7 +17,7 @@ from vntoolkit.io.files import read_text, source_file
 from vntoolkit.io.footage.captures import Capture, CaptureOptions, open_capture
 from vntoolkit.io.footage.decoding import rectify_frame
 from vntoolkit.io.footage.image_writing import write_png
-from vntoolkit.io.footage.sequence import CaptureKind
+from vntoolkit.io.footage.sequence import CaptureKind, find_capture_files
 from vntoolkit.io.results.folder import write_lock
 from vntoolkit.options.calibration import LabelOffset, PressOptions
 from vntoolkit.options.footage import Gaps, SensorOptions
@@ -157,7 +157,7 @@ def calibrate_presses(
         response=fit.response,
         transfer=capture.transfer,
         quality=fit.quality,
-        sources=tuple(source_file(path) for path in (*capture.info.files, job.background)),
+        sources=tuple(map(source_file, (*capture.info.files, *find_capture_files(job.background).files))),
         gel=gel,
     )
     return PressCalibration(
