@@ -77,7 +77,7 @@ DOORS = {
 LINES = {
     "(root)": 1980,
     "calibration": 4720,
-    "cli": 3320,
+    "cli": 3330,
     "diagnosis": 4140,
     "evaluation": 1100,
     "geometry": 1810,
@@ -90,7 +90,7 @@ LINES = {
     "normals": 1570,
     "options": 1740,
     "photometry": 1060,
-    "pipeline": 8140,
+    "pipeline": 8180,
     "report": 3150,
     "shadows": 3080,
     "simulation": 3570,
