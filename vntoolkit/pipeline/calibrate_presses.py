@@ -54,9 +54,9 @@ class PressJob:
     rectified image; they replace what is found or labelled. ball_radii: a file of lines `NAME radius_mm`,
     where NAME is an image, a folder of images, or a pattern; None for one ball. transfer: curve of the
     footage, None for the one that it states, else linear. sensor: how samples of the sensor itself are read.
-    rectification: takes the camera's view to the gel; None where the images are rectified. label_size: (width,
-    height) of the frame that labels refer to; None for that of the images, rectified. allow: checks whose
-    fatal findings on the footage do not stop the calibration.
+    rectification: takes the camera's view to the gel; None where the images are rectified. label_size:
+    (width, height) of the frame that labels refer to; None for that of the images, rectified. allow: checks
+    whose fatal findings on the footage do not stop the calibration.
     """
 
     source: str
