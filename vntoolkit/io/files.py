@@ -16,7 +16,7 @@ from io import BufferedReader
 from pathlib import Path
 from typing import Any
 
-from vntoolkit.errors import BadInput, BadMesh
+from vntoolkit.errors import BadCapture, BadInput, BadMesh
 from vntoolkit.options.footage import ReadingLimits
 from vntoolkit.photometry.rig import SourceFile
 
@@ -184,22 +184,20 @@ def limited_to(limits: ReadingLimits) -> Iterator[None]:
         _current.pop()
 
 
-def require_pixels(
-    width: int, height: int, max_megapixels: float | None, name: str, error: type[BadInput]
-) -> None:
+def require_pixels(width: int, height: int, max_megapixels: float | None, name: str) -> None:
     """Refuse a size that a damaged or hostile header claims, before memory is asked for.
 
-    max_megapixels: None for the limit that holds.
+    max_megapixels: None for the limit that holds. Raises `BadCapture`.
     """
     if min(width, height) < 1:
-        raise error(
+        raise BadCapture(
             f"{name}: states a size of {width}×{height}, expected pixels; it is damaged: copy it again"
         )
     most = reading_limits().max_megapixels if max_megapixels is None else max_megapixels
     megapixels = width * height / 1e6
     if megapixels > most:
         size = f"{width}×{height} is {megapixels:.{0 if megapixels >= 10 else 3}f} megapixels"
-        raise error(
+        raise BadCapture(
             f"{name}: {size}, more than the limit of {most:g}; raise --max-megapixels if that is meant"
         )
 

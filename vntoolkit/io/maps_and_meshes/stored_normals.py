@@ -39,22 +39,20 @@ class StoredNormals:
     notes: tuple[str, ...] = ()
 
 
-def read_stored_normals(
-    path: Path | str, mask: Mask | None = None, *, max_megapixels: float | None = None
-) -> StoredNormals:
+def read_stored_normals(path: Path | str, mask: Mask | None = None) -> StoredNormals:
     """Read a normal map: PNG, TIFF or JPEG of 8 or 16 bits or floats, EXR, NPZ, or MAT as DiLiGenT's."""
     path = Path(path)
     weight, error, stated, alpha = None, None, None, None
     match path.suffix.lower():
         case ".exr":
-            samples, weight, error, stated = _exr_planes(path, max_megapixels)
+            samples, weight, error, stated = _exr_planes(path)
             alpha = None if weight is None else weight > 0
         case ".npz" | ".mat":
             samples = _normals_of_archive(path)
         case _:
             from vntoolkit.io.footage.images import read_image_with_alpha
 
-            samples, alpha = read_image_with_alpha(path, max_megapixels=max_megapixels)
+            samples, alpha = read_image_with_alpha(path)
     if mask is not None and mask.shape != samples.shape[:2]:
         (height, width), (rows, columns) = mask.shape, samples.shape[:2]
         raise BadInput(f"{path}: is {columns}×{rows} but its mask is {width}×{height}; give one of its size")
@@ -70,10 +68,10 @@ def read_stored_normals(
 
 
 def _exr_planes(
-    path: Path, max_megapixels: float | None
+    path: Path,
 ) -> tuple[Float32Array, Float32Array | None, Float32Array | None, NormalConvention | None]:
     """Return what an EXR holds of normals: vectors (h, w, 3) as stored, confidence, errors, stated axes."""
-    channels, texts = read_exr(path, max_megapixels=max_megapixels, error=BadInput)
+    channels, header = read_exr(path)
     names = next((n for n in ("RGB", "XYZ", "xyz") if set(n) <= set(channels)), None)
     if names is None:
         raise BadInput(f"{path}: expected the channels R, G, B or X, Y, Z, found {', '.join(channels)}")
@@ -83,7 +81,7 @@ def _exr_planes(
     bad = 0 if weight is None else int((~np.isfinite(stored).all(axis=2) & (weight > 0)).sum())
     if bad:
         raise BadInput(f"{path}: {bad} normals are NaN or infinite")
-    convention = texts.get(CONVENTION_ATTRIBUTE)
+    convention = header.texts.get(CONVENTION_ATTRIBUTE)
     try:
         stated = None if convention is None else NormalConvention(convention)
         return stored, weight, error, stated
