@@ -164,8 +164,6 @@ def _without_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 _BYTES_PER_VERTEX = 256  # with its faces, normal, colour and texture coordinates, as text of full precision
 _BYTES_BESIDE = 1 << 20
-
-
 _current = [ReadingLimits()]
 
 

@@ -11,8 +11,9 @@ import numpy as np
 from vntoolkit.arrays import Array, ByteArray, FloatArray, UInt16Array
 from vntoolkit.errors import BadCapture
 from vntoolkit.io.files import opened, require_pixels, silenced_native_output
+from vntoolkit.io.footage.decoded_image import DecodedImage, ImageHeader
 from vntoolkit.io.footage.orientation import Orientation
-from vntoolkit.io.footage.stated import RAW_SUFFIXES, DecodedImage, ImageHeader, Stated
+from vntoolkit.io.footage.stated import RAW_SUFFIXES, Stated
 from vntoolkit.options.footage import Bayer, Demosaic
 
 _FULL = 65535

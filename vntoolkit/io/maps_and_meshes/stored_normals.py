@@ -11,7 +11,6 @@ import numpy as np
 from vntoolkit.arrays import Array, Float32Array, FloatArray, Mask
 from vntoolkit.checks import require_shape
 from vntoolkit.errors import BadInput
-from vntoolkit.io.files import require_file
 from vntoolkit.io.maps_and_meshes.exr import read_exr
 from vntoolkit.io.maps_and_meshes.maps import CONVENTION_ATTRIBUTE, ERROR_CHANNEL
 from vntoolkit.options.export import NormalConvention
@@ -163,30 +162,15 @@ def _off(vectors: FloatArray) -> float:
 
 def _normals_of_archive(path: Path) -> Array:
     """Return the one array (h, w, 3) of an archive; of several, the one that is named for normals."""
-    from vntoolkit.io.maps_and_meshes.arrays import read_npz
+    from vntoolkit.io.maps_and_meshes.arrays import read_npz, shapes_in_npz
+    from vntoolkit.io.maps_and_meshes.mat import read_mat
 
-    shapes = _shapes_in(require_file(path))
+    is_mat = path.suffix.lower() == ".mat"
+    arrays = read_mat(path) if is_mat else {}
+    shapes = {name: values.shape for name, values in arrays.items()} if is_mat else shapes_in_npz(path)
     maps = [name for name, shape in shapes.items() if len(shape) == 3 and shape[2] == 3]
     maps = [name for name in maps if "normal" in name.lower()] or maps
     if len(maps) != 1:
         held = ", ".join(f"{name} {shape}" for name, shape in shapes.items()) or "nothing"
         raise BadInput(f"{path}: expected one array (h, w, 3) of normals, it holds {held}")
-    if path.suffix.lower() == ".npz":
-        from vntoolkit.io.maps_and_meshes.arrays import read_npz
-
-        return read_npz(path, maps[0])
-    from scipy.io import loadmat
-
-    return np.asarray(loadmat(path, variable_names=maps)[maps[0]])
-
-
-def _shapes_in(path: Path) -> dict[str, tuple[int, ...]]:
-    try:
-        if path.suffix.lower() == ".mat":
-            from scipy.io import whosmat
-
-            return {name: shape for name, shape, _ in whosmat(path)}
-        with np.load(path, allow_pickle=False) as archive:
-            return {name: archive[name].shape for name in archive.files}
-    except (ValueError, OSError, EOFError, NotImplementedError, AttributeError, KeyError) as problem:
-        raise BadInput(f"{path}: is no whole {path.suffix} archive of arrays ({problem})") from problem
+    return arrays[maps[0]] if is_mat else read_npz(path, maps[0])
