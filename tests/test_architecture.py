@@ -80,7 +80,7 @@ LINES = {
     "geometry": 1810,
     "inspection": 250,
     "integration": 1760,
-    "io": 8380,
+    "io": 8370,
     "live": 900,
     "materials": 2900,
     "meshing": 280,

@@ -8,9 +8,9 @@ import numpy as np
 from vntoolkit.arrays import Array
 from vntoolkit.errors import BadCapture
 from vntoolkit.io.footage.captures import CaptureInfo, CaptureOptions
-from vntoolkit.io.footage.decoded_image import DecodedImage
 from vntoolkit.io.footage.decoding import EncodedFrame
 from vntoolkit.io.footage.images import read_opaque_image
+from vntoolkit.io.footage.mosaics import DecodedImage
 from vntoolkit.io.footage.sequence import CaptureFiles
 
 

@@ -21,8 +21,8 @@ from vntoolkit.errors import BadCapture
 from vntoolkit.io.files import opened, require_pixels, silenced_native_output
 from vntoolkit.io.footage import mosaics
 from vntoolkit.io.footage.colour_profiles import bt709_from, curve_of_lights, curve_of_profile
-from vntoolkit.io.footage.decoded_image import DecodedImage, ImageHeader
 from vntoolkit.io.footage.image_writing import in_other_order
+from vntoolkit.io.footage.mosaics import DecodedImage, ImageHeader
 from vntoolkit.io.footage.orientation import UPRIGHT, Orientation
 from vntoolkit.io.footage.stated import (
     TRANSFER_NAMES,

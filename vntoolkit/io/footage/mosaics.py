@@ -1,8 +1,8 @@
-"""Frames as the sensor recorded them: camera raw files, and Bayer mosaics that are stored as grey."""
+"""Decoded images; frames as the sensor recorded them: raw files, and Bayer mosaics stored as grey."""
 
 import contextlib
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -11,7 +11,6 @@ import numpy as np
 from vntoolkit.arrays import Array, ByteArray, FloatArray, UInt16Array
 from vntoolkit.errors import BadCapture
 from vntoolkit.io.files import opened, require_pixels, silenced_native_output
-from vntoolkit.io.footage.decoded_image import DecodedImage, ImageHeader
 from vntoolkit.io.footage.orientation import Orientation
 from vntoolkit.io.footage.stated import RAW_SUFFIXES, Stated
 from vntoolkit.options.footage import Bayer, Demosaic
@@ -28,6 +27,54 @@ _EXIF_BY_FLIP = {3: 3, 5: 8, 6: 6}  # LibRaw's names of turns
 
 # OpenCV names a pattern by the pixels from the second row and column on.
 _OPENCV_NAMES = {Bayer.RGGB: "BG", Bayer.BGGR: "RG", Bayer.GRBG: "GB", Bayer.GBRG: "GR"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImageHeader:
+    """How an image file stores its picture.
+
+    format: its name. width, height: as stored, pixels; of a camera raw file as read. channels: alpha
+    included. bits: per sample. chroma: subsampling (JPEG, WebP), or `Bayer`. stated: what else it states.
+    mosaic_at: byte of a TIFF that states a Bayer mosaic, 0 for none. bayer: its pattern, None for none or one
+    that is not stated. planar: the channels of a TIFF are stored apart. tiled: its pixels are stored in
+    tiles. saturation: of a raw file's sensor.
+    """
+
+    format: str
+    width: int
+    height: int
+    channels: int
+    bits: int
+    floating: bool = False
+    chroma: str = "4:4:4"
+    stated: Stated = field(default_factory=Stated)
+    mosaic_at: int = 0
+    bayer: Bayer | None = None
+    planar: bool = False
+    tiled: bool = False
+    saturation: int | None = None
+
+    @property
+    def text(self) -> str:
+        """The format in words."""
+        if self.saturation is not None:
+            return f"{self.format}, saturation {self.saturation}"
+        return f"{self.format} {self.bits}-bit{' float' if self.floating else ''}"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DecodedImage:
+    """Encoded values as stored: colours (h, w, 1 or 3), RGB, upright; alpha (h, w), None for none."""
+
+    colours: Array
+    alpha: Array | None
+    header: ImageHeader
+
+    @property
+    def rgb(self) -> Array:
+        """The colours as (h, w, 3); grey is repeated."""
+        grey = self.colours.shape[2] == 1
+        return np.repeat(self.colours, 3, axis=2) if grey else np.ascontiguousarray(self.colours)
 
 
 def is_raw(path: Path | str) -> bool:
