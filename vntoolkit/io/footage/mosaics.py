@@ -36,8 +36,7 @@ class ImageHeader:
     format: its name. width, height: as stored, pixels; of a camera raw file as read. channels: alpha
     included. bits: per sample. chroma: subsampling (JPEG, WebP), or `Bayer`. stated: what else it states.
     mosaic_at: byte of a TIFF that states a Bayer mosaic, 0 for none. bayer: its pattern, None for none or one
-    that is not stated. planar: the channels of a TIFF are stored apart. tiled: its pixels are stored in
-    tiles. saturation: of a raw file's sensor.
+    that is not stated. planar: the channels of a TIFF are stored apart. saturation: of a raw file's sensor.
     """
 
     format: str
@@ -51,7 +50,6 @@ class ImageHeader:
     mosaic_at: int = 0
     bayer: Bayer | None = None
     planar: bool = False
-    tiled: bool = False
     saturation: int | None = None
 
     @property
