@@ -83,7 +83,7 @@ LINES = {
     "geometry": 1810,
     "inspection": 250,
     "integration": 1760,
-    "io": 8950,
+    "io": 8920,
     "live": 900,
     "materials": 2900,
     "meshing": 280,
@@ -94,7 +94,7 @@ LINES = {
     "report": 3140,
     "shadows": 2330,
     "simulation": 3540,
-    "skinning": 2060,
+    "skinning": 2050,
     "tactile": 2110,
     "tracking": 3290,
 }

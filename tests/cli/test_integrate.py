@@ -1,6 +1,7 @@
 """Depth from normal maps of any origin: files, encodings, axes and backgrounds are found out and said."""
 
 import logging
+import zipfile
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from vntoolkit.io.footage.image_writing import write_png
 from vntoolkit.io.maps_and_meshes.exr import write_exr
 from vntoolkit.io.maps_and_meshes.maps import write_normal_map
 from vntoolkit.io.maps_and_meshes.masks import write_mask
+from vntoolkit.io.maps_and_meshes.stored_normals import read_stored_normals
 from vntoolkit.options.export import NormalConvention
 
 SIZE, RADIUS = 96, 40.0
@@ -93,6 +95,32 @@ def test_what_surrounds_the_subject_is_no_normal(tmp_path, name, value, caplog):
     assert error_of(result) < 0.01
     assert f"{name} at the border was taken for background" in caplog.text
     assert len(result.mesh(0).faces) > mask.sum()
+
+
+def test_damaged_archives_are_one_line_and_end_no_process(tmp_path):
+    """SciPy's reader of .mat files ended the process; a header of petabytes in a .npz was a traceback."""
+    from scipy.io import savemat
+
+    _, normals, mask = ball()
+    np.savez(tmp_path / "a.npz", normals=normals)
+    with zipfile.ZipFile(tmp_path / "a.npz", "a") as archive, archive.open("other.npy", "w") as member:
+        header = {"descr": "<f8", "fortran_order": False, "shape": (10**15,)}
+        np.lib.format.write_array_header_1_0(member, header)
+    assert (read_stored_normals(tmp_path / "a.npz").mask == mask).mean() > 0.99
+    rng, refused = np.random.default_rng(1), 0
+    for packed in (False, True):
+        savemat(tmp_path / "a.mat", {"Normal_gt": normals}, do_compression=packed)
+        sound = (tmp_path / "a.mat").read_bytes()
+        for case in range(60):
+            damaged = bytearray(sound if case % 3 else sound[: int(rng.integers(130, len(sound)))])
+            for _ in range(case % 4):
+                damaged[int(rng.integers(120, 300))] = int(rng.integers(256))
+            (tmp_path / "b.mat").write_bytes(damaged)
+            try:
+                read_stored_normals(tmp_path / "b.mat")
+            except BadInput:
+                refused += 1
+    assert refused > 60
 
 
 def test_words_in_an_archive_and_masks_of_another_size_are_one_line(tmp_path):

@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 import tifffile
 from PIL import Image, ImageCms
+from scipy.io import savemat
 from specimen_texts import write_motion, write_texts
 
 from tests.faults.stated_sensors import write_dng
@@ -225,12 +226,16 @@ def _write_maps(folder: Path, rng: np.random.Generator) -> list[tuple[str, Path]
     write_normal_map(folder / "n.png", normal_map)
     write_normal_map(folder / "n8.png", normal_map, bits=8)
     write_normal_map(folder / "zip.exr", normal_map, compression=ExrCompression.ZIP)
+    np.savez_compressed(folder / "n.npz", normals=normals * [1, -1, -1], mask=mask)
+    for name, is_packed in (("n.mat", False), ("packed.mat", True)):
+        savemat(folder / name, {"Normal_gt": normals * [1, -1, -1]}, do_compression=is_packed)
     write_depth_map(folder / "d.exr", depth_map)
     write_depth_map(folder / "piz.exr", depth_map, compression=ExrCompression.PIZ)
     write_mask(folder / "mask.png", mask)
     write_labels(folder / "labels.png", rng.integers(0, 8, (H, W), dtype=np.uint8))
+    stored = ("n.exr", "n.png", "n8.png", "zip.exr", "n.npz", "n.mat", "packed.mat")
     return [
-        *(("normals", folder / name) for name in ("n.exr", "n.png", "n8.png", "zip.exr")),
+        *(("normals", folder / name) for name in stored),
         ("depth", folder / "d.exr"), ("depth", folder / "piz.exr"),
         ("mask", folder / "mask.png"), ("labels", folder / "labels.png"),
     ]  # fmt: skip

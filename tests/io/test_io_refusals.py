@@ -107,12 +107,12 @@ def test_exr_files_of_other_channels_units_and_conventions(tmp_path):
     with pytest.raises(BadInput, match="no pixel holds a depth"):
         read_depth_map(path)
     write_depth_map(path, DepthMap(depth=PLANE, mask=ALL, unit=LengthUnit.METRE))
-    unit = next(key for key, value in read_exr(path)[1].items() if value == LengthUnit.METRE.value)
+    unit = next(key for key, value in read_exr(path)[1].texts.items() if value == LengthUnit.METRE.value)
     write_exr(path, {"Z": PLANE}, attributes={unit: "smoot"})
     with pytest.raises(BadInput, match="unknown length unit 'smoot'"):
         read_depth_map(path)
     write_normal_map(path, FLAT)
-    convention = next(key for key, value in read_exr(path)[1].items() if value in ("opengl", "directx"))
+    convention = next(key for key, value in read_exr(path)[1].texts.items() if value in ("opengl", "directx"))
     write_exr(path, dict.fromkeys("RGB", PLANE), attributes={convention: "sideways"})
     with pytest.raises(BadInput, match="unknown normal convention 'sideways'"):
         read_normal_map(path)

@@ -175,14 +175,14 @@ def test_a_gigabyte_is_refused_by_its_size(tmp_path: Path) -> None:
     path = tmp_path / "huge.bvh"
     with path.open("wb") as file:
         file.truncate(2**30)  # sparse: takes no disk
-    with pytest.raises(BadMotion, match="1024 MiB; motion files over 256 MiB"):
+    with pytest.raises(BadMotion, match=r"MB, expected 268\.44 at most of a motion"):
         read_bvh(path)
     asf = write(tmp_path / "s.asf", ASF)
-    with pytest.raises(BadMotion, match="1024 MiB"):
+    with pytest.raises(BadMotion, match="MB, expected 268"):
         read_asf_amc(asf, path.rename(tmp_path / "huge.amc"))
     with (tmp_path / "huge.asf").open("wb") as file:
         file.truncate(2**30)
-    with pytest.raises(BadMotion, match="no ASF skeleton"):
+    with pytest.raises(BadMotion, match="MB, expected 16"):
         read_asf_amc(tmp_path / "huge.asf", write(tmp_path / "m.amc", AMC))
 
 

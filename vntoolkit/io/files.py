@@ -16,7 +16,7 @@ from io import BufferedReader
 from pathlib import Path
 from typing import Any
 
-from vntoolkit.errors import BadInput, BadMesh
+from vntoolkit.errors import BadCapture, BadInput, BadMesh
 from vntoolkit.options.footage import ReadingLimits
 from vntoolkit.photometry.rig import SourceFile
 
@@ -57,13 +57,21 @@ def opened(path: Path | str, error: type[BadInput] = BadInput) -> Iterator[Buffe
         raise error(f"{path}: cannot be read ({problem.strerror or problem})") from problem
 
 
+def require_size(path: Path | str, most: float, what: str, error: type[BadInput] = BadInput) -> Path:
+    """Return the path of a file of so many bytes at most, or raise `error` before any is read.
+
+    what: what the file should be, and what to do where it is longer.
+    """
+    path = require_file(path, error)
+    size = path.stat().st_size
+    if size > most:
+        raise error(f"{path}: has {size / 1e6:.2f} MB, expected {most / 1e6:.2f} at most of {what}")
+    return path
+
+
 def read_bytes(path: Path | str, error: type[BadInput] = BadInput) -> bytes:
     """Read a whole file of 16 MB at most, or raise `error` with one line before it is read."""
-    with opened(path, error) as stream:
-        size = os.fstat(stream.fileno()).st_size
-        if size > _MOST_BYTES:
-            most = f"{_MOST_BYTES / 1e6:.0f} at most"
-            raise error(f"{path}: has {size / 1e6:.0f} MB, expected {most}; is it the right file?")
+    with opened(require_size(path, _MOST_BYTES, "such a file; is it the right one?", error), error) as stream:
         return stream.read()
 
 
@@ -156,8 +164,6 @@ def _without_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 _BYTES_PER_VERTEX = 256  # with its faces, normal, colour and texture coordinates, as text of full precision
 _BYTES_BESIDE = 1 << 20
-
-
 _current = [ReadingLimits()]
 
 
@@ -176,22 +182,20 @@ def limited_to(limits: ReadingLimits) -> Iterator[None]:
         _current.pop()
 
 
-def require_pixels(
-    width: int, height: int, max_megapixels: float | None, name: str, error: type[BadInput]
-) -> None:
+def require_pixels(width: int, height: int, max_megapixels: float | None, name: str) -> None:
     """Refuse a size that a damaged or hostile header claims, before memory is asked for.
 
-    max_megapixels: None for the limit that holds.
+    max_megapixels: None for the limit that holds. Raises `BadCapture`.
     """
     if min(width, height) < 1:
-        raise error(
+        raise BadCapture(
             f"{name}: states a size of {width}×{height}, expected pixels; it is damaged: copy it again"
         )
     most = reading_limits().max_megapixels if max_megapixels is None else max_megapixels
     megapixels = width * height / 1e6
     if megapixels > most:
         size = f"{width}×{height} is {megapixels:.{0 if megapixels >= 10 else 3}f} megapixels"
-        raise error(
+        raise BadCapture(
             f"{name}: {size}, more than the limit of {most:g}; raise --max-megapixels if that is meant"
         )
 
@@ -208,14 +212,9 @@ def require_vertices(count: int, name: str) -> None:
 
 def require_mesh_file(path: Path | str) -> Path:
     """Return the path of a file that holds no more than the limit's vertices can take, or raise `BadMesh`."""
-    path = require_file(path, BadMesh)
-    size, most = path.stat().st_size, reading_limits().max_vertices
-    if size > most * _BYTES_PER_VERTEX + _BYTES_BESIDE:
-        raise BadMesh(
-            f"{path}: {size / 1e6:.0f} MB are more than a mesh of {most} vertices takes, the limit; raise "
-            "--max-vertices if that is meant"
-        )
-    return path
+    most = reading_limits().max_vertices
+    what = f"a mesh of {most} vertices, the limit; raise --max-vertices if that is meant"
+    return require_size(path, most * _BYTES_PER_VERTEX + _BYTES_BESIDE, what, BadMesh)
 
 
 @contextlib.contextmanager

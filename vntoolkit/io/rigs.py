@@ -120,53 +120,42 @@ def _known_keys(model: type[BaseModel], location: tuple[int | str, ...]) -> list
 def rig_from_entry(entry: RigFile) -> Rig:
     """Return the rig of a validated rig.json; raise `BadInput` for impossible numbers."""
     response, colour = entry.response, entry.colour
-    quality = None if entry.quality is None else FitQuality(**entry.quality.model_dump())
+    transfer = Transfer.from_text(colour.transfer)
     return Rig(
         camera=camera_from_entry(entry.camera),
         response=LightResponse(
-            **_arrays(response, "matrix", "ambient", "light_colours", "light_doubts_deg"),
+            **response.model_dump(exclude={"variation", "material", "frame"}),
             variation=None if response.variation is None else _variation_from_entry(response.variation),
         ),
-        transfer=replace(
-            Transfer.from_text(colour.transfer),
-            black_level=colour.black_level,
-            white_level=colour.white_level,
-        ),
-        quality=quality,
-        sources=tuple(SourceFile(file=source.file, sha256=source.sha256) for source in entry.sources),
+        transfer=replace(transfer, black_level=colour.black_level, white_level=colour.white_level),
+        quality=None if entry.quality is None else FitQuality(**entry.quality.model_dump()),
+        sources=tuple(SourceFile(**source.model_dump()) for source in entry.sources),
         gel=None if entry.gel is None else _gel_from_entry(entry.gel),
         material=response.material or "",
     )
 
 
-def _arrays(entry: Entry, *names: str) -> dict[str, Any]:
-    """Return these values of an entry as arrays, by name; None stays."""
-    values = {name: getattr(entry, name) for name in names}
-    return {name: None if value is None else np.array(value) for name, value in values.items()}
-
-
 def entry_from_rig(rig: Rig) -> RigFile:
     """Return the rig as rig.json and the manifest store it."""
-    response, variation = rig.response, rig.response.variation
-    return RigFile(
-        version=_version_of(rig),
-        camera=entry_from_camera(rig.camera),
-        response=ResponseEntry.model_validate(
-            vars(response)
-            | {
-                "material": rig.material or None,
-                "variation": None if variation is None else _entry_from_variation(variation),
-            }
-        ),
-        colour=ColourEntry(
-            transfer=rig.transfer.to_text(),
-            black_level=rig.transfer.black_level,
-            white_level=rig.transfer.white_level,
-        ),
-        quality=None if rig.quality is None else QualityEntry(**vars(rig.quality)),
-        sources=[SourceEntry(**vars(source)) for source in rig.sources],
-        gel=None if rig.gel is None else _entry_from_gel(rig.gel),
-    )
+    variation, transfer, gel = rig.response.variation, rig.transfer, rig.gel
+    content: dict[str, Any] = {
+        "version": _version_of(rig),
+        "camera": entry_from_camera(rig.camera),
+        "response": vars(rig.response)
+        | {
+            "material": rig.material or None,
+            "variation": None if variation is None else _content_of_variation(variation),
+        },
+        "colour": {
+            "transfer": transfer.to_text(),
+            "black_level": transfer.black_level,
+            "white_level": transfer.white_level,
+        },
+        "quality": rig.quality,
+        "sources": rig.sources,
+        "gel": None if gel is None else _content_of_gel(gel),
+    }
+    return RigFile.model_validate(content, from_attributes=True)
 
 
 def _version_of(rig: Rig) -> Version:
@@ -222,33 +211,29 @@ def _variation_from_entry(entry: VariationEntry) -> ResponseVariation:
     )
 
 
-def _entry_from_variation(variation: ResponseVariation) -> VariationEntry:
+def _content_of_variation(variation: ResponseVariation) -> dict[str, Any]:
     terms = zip(variation.powers, variation.matrices, variation.ambients, strict=True)
     listed = [dict(zip(("powers", "matrix", "ambient"), term, strict=True)) for term in terms]
-    place = {"centre_px": variation.centre_px, "scale_px": variation.scale_px}
-    return VariationEntry.model_validate({**place, "terms": listed})
+    return {"centre_px": variation.centre_px, "scale_px": variation.scale_px, "terms": listed}
 
 
 def _gel_from_entry(entry: GelEntry) -> GelResponse:
-    view = entry.rectification
-    coefficients = np.array(entry.coefficients)
+    view, coefficients = entry.rectification, np.array(entry.coefficients)
     if len(coefficients) == EARLIER_TERMS:
         coefficients = completed_coefficients(coefficients)
     return GelResponse(
+        **entry.model_dump(exclude={"coefficients", "rectification"}),
         coefficients=coefficients,
-        **_arrays(entry, "centre_px", "errors_deg", "untouched"),
-        scale_px=entry.scale_px,
-        reach=entry.reach,
         rectification=None if view is None else Rectification(**view.model_dump(exclude={"filmed_px"})),
         filmed_px=None if view is None else view.filmed_px,
     )
 
 
-def _entry_from_gel(gel: GelResponse) -> GelEntry:
+def _content_of_gel(gel: GelResponse) -> dict[str, Any]:
     content = {name: getattr(gel, name) for name in GelEntry.model_fields}
     if gel.rectification is not None:
         content["rectification"] = {**vars(gel.rectification), "filmed_px": gel.filmed_px}
-    return GelEntry.model_validate(content)
+    return content
 
 
 def _indented(value: Any, indent: str = "") -> str:

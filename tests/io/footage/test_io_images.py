@@ -44,8 +44,8 @@ def test_exr_keeps_floats_and_attributes(tmp_path, rng, compression):
     }
     path = tmp_path / "a.exr"
     write_exr(path, channels, attributes={"unit": "m"}, compression=compression)
-    back, texts = read_exr(path)
-    assert texts["unit"] == "m"
+    back, header = read_exr(path)
+    assert header.texts["unit"] == "m"
     for name, values in channels.items():
         assert back[name].dtype == values.dtype
         np.testing.assert_array_equal(back[name], values)

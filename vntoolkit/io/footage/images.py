@@ -9,19 +9,20 @@ import os
 import struct
 import warnings
 import zlib
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import cv2
 import numpy as np
 
-from vntoolkit.arrays import Array, Float32Array, Mask
-from vntoolkit.errors import BadCapture, BadInput
+from vntoolkit.arrays import Array, Mask
+from vntoolkit.errors import BadCapture
 from vntoolkit.io.files import opened, require_pixels, silenced_native_output
 from vntoolkit.io.footage import mosaics
 from vntoolkit.io.footage.colour_profiles import bt709_from, curve_of_lights, curve_of_profile
 from vntoolkit.io.footage.image_writing import in_other_order
+from vntoolkit.io.footage.mosaics import DecodedImage, ImageHeader
 from vntoolkit.io.footage.orientation import UPRIGHT, Orientation
 from vntoolkit.io.footage.stated import (
     TRANSFER_NAMES,
@@ -31,14 +32,12 @@ from vntoolkit.io.footage.stated import (
     require_heeded,
     require_opaque,
 )
-from vntoolkit.io.maps_and_meshes import exr
-from vntoolkit.io.maps_and_meshes.exr import read_exr
+from vntoolkit.io.maps_and_meshes.exr import MAGIC, read_exr
 from vntoolkit.options.footage import Bayer, SensorOptions
 
 _LONGEST_HEADER = 32 << 20  # bytes; colour profiles and previews stand before the size in some files
 _PIECE_BYTES = 1 << 20
 _SHORT_CHUNK = 64  # bytes
-_COUNTED = {"TIFF": "pages", "EXR": "parts or views"}
 _PNG = b"\x89PNG\r\n\x1a\n"
 _TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _BY_PILLOW = {"PNG": _PNG, "JPEG": b"\xff\xd8", "BMP": b"BM", "WEBP": b"RIFF"}
@@ -66,89 +65,63 @@ _DIAGONAL_MM = 43.27  # of 24×36 mm
 _JPEG_CHROMA = {(2, 2): "4:2:0", (2, 1): "4:2:2", (1, 2): "4:4:0", (4, 1): "4:1:1"}
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class DecodedImage:
-    """Encoded values as stored: colours (h, w, 1 or 3), RGB, upright; alpha (h, w), None for none."""
-
-    colours: Array
-    alpha: Array | None
-    header: "ImageHeader"
-
-    @property
-    def rgb(self) -> Array:
-        """The colours as (h, w, 3); grey is repeated."""
-        grey = self.colours.shape[2] == 1
-        return np.repeat(self.colours, 3, axis=2) if grey else np.ascontiguousarray(self.colours)
-
-
 def read_image(
-    path: Path | str,
-    *,
-    max_megapixels: float | None = None,
-    sensor: SensorOptions | None = None,
-    error: type[BadInput] = BadCapture,
+    path: Path | str, *, max_megapixels: float | None = None, sensor: SensorOptions | None = None
 ) -> Array:
     """Read an image as (h, w, 3) RGB, encoded values as stored: uint8, uint16 or float32 (EXR, float TIFF).
 
-    Grey is repeated in the three channels. An alpha channel is dropped where it is opaque everywhere and
-    refused where it is not, since the colour beneath it is undefined. max_megapixels: None for the limit of
-    `reading_limits`. sensor: how camera raw files and Bayer mosaics are read. Raises `error` with one line
-    for a file that is missing, empty, damaged, too large, holds NaN or states what is not read.
+    As `read_opaque_image`, whose pixels it returns.
     """
-    sensor = sensor or SensorOptions()
-    if mosaics.is_raw(path):
-        return mosaics.read_raw(path, sensor.demosaic, max_megapixels=max_megapixels, error=error)[0]
-    return read_opaque_image(path, max_megapixels=max_megapixels, sensor=sensor, error=error).rgb
+    return read_opaque_image(path, max_megapixels=max_megapixels, sensor=sensor).rgb
 
 
 def read_opaque_image(
-    path: Path | str,
-    *,
-    max_megapixels: float | None = None,
-    sensor: SensorOptions | None = None,
-    error: type[BadInput] = BadCapture,
+    path: Path | str, *, max_megapixels: float | None = None, sensor: SensorOptions | None = None
 ) -> DecodedImage:
-    """Read an image that is no camera raw file, with what it states, as `read_image`."""
-    image = decode_image(path, max_megapixels=max_megapixels, sensor=sensor or SensorOptions(), error=error)
+    """Read an image, with what it states.
+
+    An alpha channel is dropped where it is opaque everywhere and refused where it is not, since the colour
+    beneath it is undefined. max_megapixels: None for the limit of `reading_limits`. sensor: how camera raw
+    files and Bayer mosaics are read. Raises `BadCapture` for a file that is missing, empty, damaged, too
+    large, holds NaN or states what is not read.
+    """
+    sensor = sensor or SensorOptions()
+    if mosaics.is_raw(path):
+        return mosaics.read_raw(path, sensor.demosaic, max_megapixels=max_megapixels)
+    image = decode_image(path, max_megapixels=max_megapixels, sensor=sensor)
     if image.alpha is not None:
-        require_opaque(image.alpha, str(path), error)
+        require_opaque(image.alpha, str(path))
     return image
 
 
-def read_image_with_alpha(
-    path: Path | str, *, max_megapixels: float | None = None
-) -> tuple[Array, Mask | None]:
+def read_image_with_alpha(path: Path | str) -> tuple[Array, Mask | None]:
     """Read (h, w, 3) RGB and, where there is an alpha channel, the (h, w) mask of alpha >= half."""
-    image = decode_image(path, max_megapixels=max_megapixels)
+    image = decode_image(path)
     return image.rgb, None if image.alpha is None else image.alpha >= full_scale(image.alpha) / 2
 
 
 def decode_image(
-    path: Path | str,
-    *,
-    max_megapixels: float | None = None,
-    sensor: SensorOptions | None = None,
-    error: type[BadInput] = BadInput,
+    path: Path | str, *, max_megapixels: float | None = None, sensor: SensorOptions | None = None
 ) -> DecodedImage:
     """Read an image that is no camera raw file. sensor: for Bayer mosaics, or None."""
-    with opened(path, error) as stream:
-        header = header_of_stream(stream, str(path), error)
-        require_pixels(header.width, header.height, max_megapixels, str(path), error)
-        if header.format == "EXR":
-            colours, alpha = _pixels_from_exr(path, header.stated, max_megapixels, error)
-            return DecodedImage(colours=colours, alpha=alpha, header=header)
+    with opened(path, BadCapture) as stream:
+        data = stream.read(_LONGEST_HEADER)
+        if data.startswith(MAGIC):
+            return _image_of_exr(path, max_megapixels)
+        header = _header_of(data, stream, str(path))
+        require_pixels(header.width, header.height, max_megapixels, str(path))
         stream.seek(0)
         data = stream.read()
-    pixels = _samples(data, header, path, error)
+    pixels = _samples(data, header, path)
     bayer = None if sensor is None else sensor.bayer or header.bayer
     if header.mosaic_at and bayer is None:
-        raise error(f"{path}: is stored as a Bayer mosaic; give --bayer with its pattern, such as rggb")
+        raise BadCapture(f"{path}: is stored as a Bayer mosaic; give --bayer with its pattern, such as rggb")
     turn = header.stated.orientation
     if bayer is not None and sensor is not None:
         if pixels.ndim != 2:
-            raise error(f"{path}: --bayer needs one sample a pixel, got {pixels.shape[2]}; leave it out")
+            raise BadCapture(f"{path}: --bayer needs one sample a pixel, got {pixels.shape[2]}; leave it out")
         if header.format == "TIFF" and turn != UPRIGHT:  # the pattern would be turned with it
-            raise error(f"{path}: is a Bayer mosaic that is to be shown turned; save it upright")
+            raise BadCapture(f"{path}: is a Bayer mosaic that is to be shown turned; save it upright")
         rgb = mosaics.rgb_from_mosaic(pixels, bayer, sensor.demosaic, str(path))
         return DecodedImage(colours=turn.upright(rgb), alpha=None, header=header)
     if header.format != "TIFF":  # which OpenCV itself turns upright, and no other
@@ -159,10 +132,10 @@ def decode_image(
     return DecodedImage(colours=pixels, alpha=None, header=header)
 
 
-def _samples(data: bytes, header: "ImageHeader", path: Path | str, error: type[BadInput]) -> Array:
+def _samples(data: bytes, header: ImageHeader, path: Path | str) -> Array:
     """Return samples in OpenCV's order: 8 or 16 bits, whose full scale is all ones, or finite floats."""
     if header.planar or (header.floating and header.bits == 16):
-        return _sound_samples(_decoded_by_tifffile(data, header, path, error), header, path, error)
+        return _sound_samples(_decoded_by_tifffile(data, header, path), header, path)
     if header.mosaic_at:
         grey = struct.pack("<H" if data[:2] == b"II" else ">H", _BLACK_IS_ZERO)  # which OpenCV reads
         data = data[: header.mosaic_at] + grey + data[header.mosaic_at + 2 :]
@@ -174,15 +147,13 @@ def _samples(data: bytes, header: "ImageHeader", path: Path | str, error: type[B
     except cv2.error:
         pixels = None
     if pixels is None and header.format == "TIFF":  # tiles, and compression that OpenCV does not know
-        pixels = _decoded_by_tifffile(data, header, path, error)
+        pixels = _decoded_by_tifffile(data, header, path)
     if pixels is None:
-        raise error(f"{path}: the {header.format} file is damaged or cut off")
-    return _sound_samples(pixels, header, path, error)
+        raise BadCapture(f"{path}: the {header.format} file is damaged or cut off")
+    return _sound_samples(pixels, header, path)
 
 
-def _decoded_by_tifffile(
-    data: bytes, header: "ImageHeader", path: Path | str, error: type[BadInput]
-) -> Array:
+def _decoded_by_tifffile(data: bytes, header: ImageHeader, path: Path | str) -> Array:
     """Return half floats, or channels stored apart, as OpenCV does others: upright and in its order."""
     import lzma
 
@@ -194,7 +165,7 @@ def _decoded_by_tifffile(
             page: Any = tiff.pages[0]
             values: Array = page.asarray()
     except damages as problem:
-        raise error(
+        raise BadCapture(
             f"{path}: its samples are damaged, or compressed in a way that is not read; save them without "
             "compression"
         ) from problem
@@ -207,117 +178,91 @@ def _decoded_by_tifffile(
     return values
 
 
-def _sound_samples(pixels: Array, header: "ImageHeader", path: Path | str, error: type[BadInput]) -> Array:
+def _sound_samples(pixels: Array, header: ImageHeader, path: Path | str) -> Array:
     """Return samples of 8 or 16 bits, whose full scale is all ones, or finite floats; raise for any other."""
     if sorted(pixels.shape[:2]) != sorted((header.height, header.width)):
-        raise error(f"{path}: its samples are damaged; copy it again")
+        raise BadCapture(f"{path}: its samples are damaged; copy it again")
     if pixels.dtype == np.float64:
         pixels = pixels.astype(np.float32)
     if pixels.dtype not in (np.uint8, np.uint16, np.float32):
-        raise error(f"{path}: expected 8-bit, 16-bit or float samples, got {pixels.dtype}")
+        raise BadCapture(f"{path}: expected 8-bit, 16-bit or float samples, got {pixels.dtype}")
     if pixels.dtype == np.uint8 and header.bits > 8:
-        raise error(f"{path}: its {header.bits}-bit samples would be read as 8 bits; save it as RGB or grey")
+        raise BadCapture(
+            f"{path}: its {header.bits}-bit samples would be read as 8 bits; save it as RGB or grey"
+        )
     if pixels.dtype == np.uint16 and header.bits < 16:  # a packed TIFF, whose samples come filled with zeros
         packed = np.asarray(pixels, dtype=np.uint16)
         return packed | (packed >> np.uint16(header.bits))
     if pixels.dtype == np.float32:
-        _require_numbers(pixels, path, error)
+        _require_numbers(pixels, path)
     return pixels
 
 
-def _pixels_from_exr(
-    path: Path | str, stated: Stated, max_megapixels: float | None, error: type[BadInput]
-) -> tuple[Float32Array, Float32Array | None]:
-    channels, _ = read_exr(path, max_megapixels=max_megapixels, error=error)
+def _image_of_exr(path: Path | str, max_megapixels: float | None) -> DecodedImage:
+    channels, found = read_exr(path, max_megapixels=max_megapixels)
     names = next((kept for group in ("RGB", "YZ", "A") if (kept := [n for n in group if n in channels])), [])
     if names != ["R", "G", "B"] and len(names) != 1:
-        raise error(f"{path}: expected the channels R, G, B (or Y), found {', '.join(channels)}")
+        raise BadCapture(f"{path}: expected the channels R, G, B (or Y), found {', '.join(channels)}")
     pixels = np.stack([channels[name] for name in names], axis=-1).astype(np.float32)
-    _require_numbers(pixels, path, error)
-    to_bt709 = bt709_from(stated.chromaticities)
+    _require_numbers(pixels, path)
+    to_bt709 = bt709_from(found.stated.chromaticities)
     if len(names) == 3 and to_bt709 is not None:
         pixels = pixels @ to_bt709.T.astype(np.float32)
-    if "A" not in channels or names == ["A"]:
-        return pixels, None
-    alpha = channels["A"].astype(np.float32)
-    _require_numbers(alpha, path, error)
-    return pixels, alpha
+    alpha = None
+    if "A" in channels and names != ["A"]:
+        alpha = channels["A"].astype(np.float32)
+        _require_numbers(alpha, path)
+    header = ImageHeader(
+        format="EXR", width=found.width, height=found.height, channels=len(channels), bits=32, floating=True,
+        stated=found.stated,
+    )  # fmt: skip
+    return DecodedImage(colours=pixels, alpha=alpha, header=header)
 
 
-def _require_numbers(pixels: Array, path: Path | str, error: type[BadInput]) -> None:
+def _require_numbers(pixels: Array, path: Path | str) -> None:
     with np.errstate(invalid="ignore"):  # of infinity minus infinity
         if math.isfinite(float(pixels.sum(dtype=np.float64))):
             return
     bad = ~np.isfinite(pixels)
     if bad.any():
         v, u = np.argwhere(bad)[0][:2]
-        raise error(
+        raise BadCapture(
             f"{path}: {int(bad.sum())} values are NaN or infinite, the first at pixel ({u}, {v}); "
             "replace them, or mask those pixels and store 0"
         )
 
 
-@dataclass(frozen=True, kw_only=True)
-class ImageHeader:
-    """How an image file stores its picture.
-
-    format: its name. width, height: as stored, pixels. channels: alpha included. bits: per sample. chroma:
-    subsampling (JPEG, WebP). stated: what else it states. mosaic_at: byte of a TIFF that states a Bayer
-    mosaic, 0 for none. bayer: its pattern, None for none or one that is not stated. planar: the channels of a
-    TIFF are stored apart.
-    """
-
-    format: str
-    width: int
-    height: int
-    channels: int
-    bits: int
-    floating: bool = False
-    chroma: str = "4:4:4"
-    stated: Stated = field(default_factory=Stated)
-    mosaic_at: int = 0
-    bayer: Bayer | None = None
-    planar: bool = False
-
-
 # Size and sample depth of an image from its first bytes, before any pixel is decoded.
 
 
-def header_of_stream(stream: BinaryIO, name: str, error: type[BadInput] = BadCapture) -> ImageHeader:
-    """Read the header of an image file; raise `error` for what it states and no reader heeds.
+def _header_of(data: bytes, stream: BinaryIO, name: str) -> ImageHeader:
+    """Read the header of an image; raise `BadCapture` for what it states and no reader heeds.
 
-    Nothing but the header is read of a long file; one far longer than its image can be is refused.
+    data: the beginning of the file, all that is read of a long one; one far longer than its image can be is
+    refused.
     """
     size = stream.seek(0, os.SEEK_END)
-    stream.seek(0)
-    data = stream.read(_LONGEST_HEADER)
-    chunks = _sound_chunks(stream, name, error) if data.startswith(_PNG) else {}
+    chunks = _sound_chunks(stream, name) if data.startswith(_PNG) else {}
     stream.seek(0)
     try:
-        if data.startswith(exr.MAGIC):
-            found = exr.read_exr_header(data, name, error)
-            header = ImageHeader(
-                format="EXR", width=found.width, height=found.height, channels=len(found.channels), bits=32,
-                floating=True, stated=found.stated,
-            )  # fmt: skip
-        elif data.startswith(_TIFF):
-            header = _tiff(stream if size > len(data) else io.BytesIO(data), name, error)
+        if data.startswith(_TIFF):
+            header = _tiff(stream if size > len(data) else io.BytesIO(data), name)
         else:
             with warnings.catch_warnings(action="ignore"):  # of damage, which is told of in one line
-                header = _by_pillow(data, name, chunks, error)
+                header = _by_pillow(data, name, chunks)
     except (struct.error, IndexError, ValueError, KeyError, SyntaxError, TypeError, OSError) as problem:
-        raise error(f"{name}: the image header is damaged or cut off") from problem
-    require_heeded(header.stated, name, error, _COUNTED.get(header.format, "pictures"))
+        raise BadCapture(f"{name}: the image header is damaged or cut off") from problem
+    require_heeded(header.stated, name, "pages" if header.format == "TIFF" else "pictures")
     raw = header.width * header.height * header.channels * max(1, header.bits // 8)
     if size > 2 * raw + _LONGEST_HEADER:
         size_px = f"{header.width}×{header.height}"
-        raise error(
+        raise BadCapture(
             f"{name}: is larger ({size / 1e6:.0f} MB) than one {header.format} of {size_px} pixels can be"
         )
     return header
 
 
-def _by_pillow(data: bytes, name: str, chunks: dict[bytes, bytes], error: type[BadInput]) -> ImageHeader:
+def _by_pillow(data: bytes, name: str, chunks: dict[bytes, bytes]) -> ImageHeader:
     """chunks: of a PNG, as `_sound_chunks` returns them."""
     from PIL import BmpImagePlugin, Image, JpegImagePlugin, PngImagePlugin, WebPImagePlugin
 
@@ -330,9 +275,11 @@ def _by_pillow(data: bytes, name: str, chunks: dict[bytes, bytes], error: type[B
     }
     format_name = next((known for known, magic in _BY_PILLOW.items() if data.startswith(magic)), None)
     if format_name is None or (format_name == "WEBP" and data[8:12] != b"WEBP"):
-        raise error(f"{name}: is not a PNG, TIFF, JPEG, BMP, WebP or EXR image")
+        raise BadCapture(f"{name}: is not a PNG, TIFF, JPEG, BMP, WebP or EXR image")
     if format_name == "BMP" and _has_masks(data):
-        raise error(f"{name}: stores colours by masks of its own; save it with 24 bits a pixel, or as PNG")
+        raise BadCapture(
+            f"{name}: stores colours by masks of its own; save it with 24 bits a pixel, or as PNG"
+        )
     try:
         image = readers[format_name](io.BytesIO(data))
     except Image.DecompressionBombError as problem:  # of a size that no file of its format can have
@@ -442,7 +389,7 @@ def _curve_of_bmp(data: bytes) -> str:
     return f"gamma:{gammas.pop() / 65536:.4g}" if len(gammas) == 1 else "of three gammas"
 
 
-def _sound_chunks(stream: BinaryIO, name: str, error: type[BadInput]) -> dict[bytes, bytes]:
+def _sound_chunks(stream: BinaryIO, name: str) -> dict[bytes, bytes]:
     """Return a PNG's short chunks and EXIF. CRCs are checked: libpng prints faults, or lets them pass."""
     found: dict[bytes, bytes] = {}
     at, size = 8, stream.seek(0, os.SEEK_END)
@@ -456,16 +403,18 @@ def _sound_chunks(stream: BinaryIO, name: str, error: type[BadInput]) -> dict[by
             piece = stream.read(min(left, _PIECE_BYTES))
             crc, left = zlib.crc32(piece, crc), left - len(piece)
         if crc != struct.unpack(">I", stream.read(4))[0]:
-            raise error(f"{name}: the PNG file is damaged: the checksum at byte {at} is wrong; copy it again")
+            raise BadCapture(
+                f"{name}: the PNG file is damaged: the checksum at byte {at} is wrong; copy it again"
+            )
         if length <= (_PIECE_BYTES if kind == b"eXIf" else _SHORT_CHUNK):
             found[kind] = piece
         if kind == b"IEND":
             return found
         at += 12 + length
-    raise error(f"{name}: the PNG file is cut off; copy or write it again")
+    raise BadCapture(f"{name}: the PNG file is cut off; copy or write it again")
 
 
-def _tiff(stream: BinaryIO, name: str, error: type[BadInput]) -> ImageHeader:
+def _tiff(stream: BinaryIO, name: str) -> ImageHeader:
     import tifffile
 
     logging.getLogger("tifffile").setLevel(logging.CRITICAL + 1)  # of a damaged file the caller tells
@@ -473,7 +422,7 @@ def _tiff(stream: BinaryIO, name: str, error: type[BadInput]) -> ImageHeader:
         with tifffile.TiffFile(stream) as tiff:
             page: Any = tiff.pages[0]
             if _DNG_VERSION in page.tags:
-                raise error(f"{name}: is a camera raw file with levels of its own; rename it to .dng")
+                raise BadCapture(f"{name}: is a camera raw file with levels of its own; rename it to .dng")
             bits = page.bitspersample
             return ImageHeader(
                 format="TIFF",

@@ -1,17 +1,18 @@
-"""Frames as the sensor recorded them: camera raw files, and Bayer mosaics that are stored as grey."""
+"""Decoded images; frames as the sensor recorded them: raw files, and Bayer mosaics stored as grey."""
 
 import contextlib
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
 
 from vntoolkit.arrays import Array, ByteArray, FloatArray, UInt16Array
-from vntoolkit.errors import BadCapture, BadInput
+from vntoolkit.errors import BadCapture
 from vntoolkit.io.files import opened, require_pixels, silenced_native_output
-from vntoolkit.io.footage.stated import RAW_SUFFIXES
+from vntoolkit.io.footage.orientation import Orientation
+from vntoolkit.io.footage.stated import RAW_SUFFIXES, Stated
 from vntoolkit.options.footage import Bayer, Demosaic
 
 _FULL = 65535
@@ -21,7 +22,7 @@ _CFA_SIZE, _CFA_LAYOUT, _ACTIVE_AREA = 33421, 50711, 50829
 _BLACK_REPEAT, _LEVELS = 50713, (50714, 50716, 50715, 50717)  # black, and what rows and columns add; white
 _MOSAIC, _COLOURS = 32803, 34892  # photometric: one colour a pixel, or all
 _FRACTIONS, _FLOATING = (5, 10), 3
-_TURNS = {3: "turned by 180°", 5: "turned by 270°", 6: "turned by 90°"}  # LibRaw's flip
+_EXIF_BY_FLIP = {3: 3, 5: 8, 6: 6}  # LibRaw's names of turns
 
 
 # OpenCV names a pattern by the pixels from the second row and column on.
@@ -29,14 +30,49 @@ _OPENCV_NAMES = {Bayer.RGGB: "BG", Bayer.BGGR: "RG", Bayer.GRBG: "GB", Bayer.GBR
 
 
 @dataclass(frozen=True, kw_only=True)
-class RawHeader:
-    """Kind of raw file, size of the picture as read, the sensor's saturation, and what turns it upright."""
+class ImageHeader:
+    """How an image file stores its picture.
 
-    kind: str
+    format: its name. width, height: as stored, pixels; of a camera raw file as read. channels: alpha
+    included. bits: per sample. chroma: subsampling (JPEG, WebP), or `Bayer`. stated: what else it states.
+    mosaic_at: byte of a TIFF that states a Bayer mosaic, 0 for none. bayer: its pattern, None for none or one
+    that is not stated. planar: the channels of a TIFF are stored apart. saturation: of a raw file's sensor.
+    """
+
+    format: str
     width: int
     height: int
-    saturation: int
-    orientation: str
+    channels: int
+    bits: int
+    floating: bool = False
+    chroma: str = "4:4:4"
+    stated: Stated = field(default_factory=Stated)
+    mosaic_at: int = 0
+    bayer: Bayer | None = None
+    planar: bool = False
+    saturation: int | None = None
+
+    @property
+    def text(self) -> str:
+        """The format in words."""
+        if self.saturation is not None:
+            return f"{self.format}, saturation {self.saturation}"
+        return f"{self.format} {self.bits}-bit{' float' if self.floating else ''}"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DecodedImage:
+    """Encoded values as stored: colours (h, w, 1 or 3), RGB, upright; alpha (h, w), None for none."""
+
+    colours: Array
+    alpha: Array | None
+    header: ImageHeader
+
+    @property
+    def rgb(self) -> Array:
+        """The colours as (h, w, 3); grey is repeated."""
+        grey = self.colours.shape[2] == 1
+        return np.repeat(self.colours, 3, axis=2) if grey else np.ascontiguousarray(self.colours)
 
 
 def is_raw(path: Path | str) -> bool:
@@ -49,24 +85,23 @@ def read_raw(
     demosaic: Demosaic = Demosaic.BILINEAR,
     *,
     max_megapixels: float | None = None,
-    error: type[BadInput] = BadCapture,
-) -> tuple[UInt16Array, RawHeader]:
+) -> DecodedImage:
     """Read a camera raw file as linear, upright (h, w, 3) RGB of the sensor, 65535 = its saturation.
 
     Black level and saturation are the file's; there is no white balance, no camera matrix and no curve.
-    Raises `error` with one line.
+    Raises `BadCapture`.
     """
-    rawpy = _rawpy(error)
+    rawpy = _rawpy()
     algorithms = rawpy.DemosaicAlgorithm
-    with opened(path, error) as stream:
+    with opened(path, BadCapture) as stream:
         try:
             with silenced_native_output(), rawpy.RawPy() as raw:  # LibRaw prints of damage
                 raw.open_buffer(stream)
                 sizes = raw.sizes
-                require_pixels(sizes.width, sizes.height, max_megapixels, str(path), error)
+                require_pixels(sizes.width, sizes.height, max_megapixels, str(path))
                 raw.unpack()
                 saturation = int(raw.white_level or 0)
-                black, stated = np.array(raw.black_level_per_channel), _levels_of_dng(stream, path, error)
+                black, stated = np.array(raw.black_level_per_channel), _levels_of_dng(stream, path)
                 scaled: dict[str, int] = {}
                 if raw.raw_type is rawpy.RawType.Flat:  # else red, green and blue are there at each pixel
                     _fill_plateau(raw.raw_image, raw.raw_colors, saturation)
@@ -89,19 +124,23 @@ def read_raw(
                 )
         except (rawpy.LibRawError, *_DAMAGES) as problem:
             reason = " ".join(str(problem).replace("b'", "").strip("'").split()).lower()
-            raise error(
+            raise BadCapture(
                 f"{path}: cannot be read as a camera raw file ({reason}); it is damaged or unknown"
             ) from problem
     if picture.ndim != 3 or picture.shape[2] != 3:
-        raise error(f"{path}: holds {picture.shape[-1]} colours a pixel, expected red, green and blue")
-    header = RawHeader(
-        kind=Path(path).suffix[1:].upper(),
+        raise BadCapture(f"{path}: holds {picture.shape[-1]} colours a pixel, expected red, green and blue")
+    turn = Orientation.from_exif(_EXIF_BY_FLIP.get(sizes.flip, 1))
+    header = ImageHeader(
+        format=Path(path).suffix[1:].upper(),
         width=picture.shape[1],
         height=picture.shape[0],
+        channels=3,
+        bits=16,
+        chroma="Bayer",
+        stated=Stated(transfer="linear", orientation=turn),
         saturation=saturation,
-        orientation=_TURNS.get(sizes.flip, ""),
     )
-    return np.ascontiguousarray(picture), header
+    return DecodedImage(colours=picture, alpha=None, header=header)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -119,11 +158,11 @@ class _Levels:
     white: FloatArray | None
 
 
-def _levels_of_dng(stream: BinaryIO, path: Path | str, error: type[BadInput]) -> _Levels | None:
+def _levels_of_dng(stream: BinaryIO, path: Path | str) -> _Levels | None:
     """Return the levels of a DNG; None where they are all one, and for another kind of raw file.
 
     LibRaw reads black levels of cells of 2×2 pixels, from an even row and column on, and one white level.
-    Raises `error` for an arrangement of colour filters that it takes for another one.
+    Raises `BadCapture` for an arrangement of colour filters that it takes for another one.
     """
     import tifffile
 
@@ -139,7 +178,7 @@ def _levels_of_dng(stream: BinaryIO, path: Path | str, error: type[BadInput]) ->
         tags = page.tags
         height, width = tags.valueof(_CFA_SIZE, (2, 2))
         if (height, width) not in ((2, 2), (6, 6)) or tags.valueof(_CFA_LAYOUT, 1) != 1:
-            raise error(
+            raise BadCapture(
                 f"{path}: its colour filters repeat every {width}×{height} pixels, or their rows are "
                 "staggered; expected a Bayer or X-Trans pattern: have the camera save binned or RGB pixels"
             )
@@ -222,11 +261,11 @@ def rgb_from_mosaic(
     return np.asarray(cv2.cvtColor(np.ascontiguousarray(mosaic), code))
 
 
-def _rawpy(error: type[BadInput]) -> Any:
+def _rawpy() -> Any:
     try:
         import rawpy
     except ImportError as problem:  # of a Mac with an Intel processor, for which there is no wheel
-        raise error(
+        raise BadCapture(
             "camera raw files need the library rawpy: pip install rawpy, or convert them to linear TIFF"
         ) from problem
     return rawpy

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from vntoolkit.arrays import Array
-from vntoolkit.errors import BadCapture, BadInput
+from vntoolkit.errors import BadCapture
 from vntoolkit.io.footage.orientation import UPRIGHT, Orientation
 
 # H.273's transfer characteristics, of video and of PNG; BT.601, xvYCC and BT.2020 share BT.709's curve.
@@ -46,18 +46,18 @@ class Stated:
     focal_px: float | None = None
 
 
-def require_heeded(stated: Stated, name: str, error: type[BadInput], what: str = "pictures") -> None:
-    """Raise `error`, in one line with its name and a remedy, for what no reader undoes.
+def require_heeded(stated: Stated, name: str, what: str = "pictures") -> None:
+    """Raise `BadCapture`, in one line with its name and a remedy, for what no reader undoes.
 
     what: that `stated.pictures` counts.
     """
     if stated.pictures != 1:
-        raise error(
+        raise BadCapture(
             f"{name}: holds {stated.pictures} {what}, expected one picture a file; save each as one of its "
             "own, and give the one that is meant, or their folder"
         )
     if stated.colours:
-        raise error(
+        raise BadCapture(
             f"{name}: is stored as {stated.colours}, expected RGB, grey with black as zero, or YUV of "
             "BT.601, BT.709 or BT.2020; save it so"
         )
@@ -65,7 +65,7 @@ def require_heeded(stated: Stated, name: str, error: type[BadInput], what: str =
         path = Path(name)
         square, is_image = path.with_name(path.stem + "_square"), path.suffix.lower() in IMAGE_SUFFIXES
         to = f"{square.name}{path.suffix}" if is_image else f"-c:v ffv1 {square.name}.mkv"
-        raise error(
+        raise BadCapture(
             f"{name}: states pixels {stated.pixel_aspect:.4g} times as wide as high, expected square ones; "
             f"stretch it first: ffmpeg -i {shlex.quote(path.name)} -vf scale=iw*sar:ih,setsar=1 {to}"
         )
@@ -81,12 +81,12 @@ def full_scale(samples: Array) -> float:
     return 1.0 if samples.dtype == np.float32 else float(np.iinfo(samples.dtype).max)
 
 
-def require_opaque(alpha: Array, name: str, error: type[BadInput] = BadCapture) -> None:
-    """Raise `error` where an alpha channel lets the ground through: the colour there is undefined."""
+def require_opaque(alpha: Array, name: str) -> None:
+    """Raise `BadCapture` where an alpha channel lets the ground through: the colour there is undefined."""
     see_through = int(np.count_nonzero(alpha < full_scale(alpha)))
     if see_through:
         bits = "floating-point" if alpha.dtype == np.float32 else f"{alpha.dtype.itemsize * 8}-bit"
-        raise error(
+        raise BadCapture(
             f"{name}: the {bits} alpha channel is not opaque at {see_through} pixels, and colour under it is "
             "undefined; save without alpha and give the outline as --mask"
         )

@@ -80,7 +80,7 @@ class VideoReader:
             context = stream.codec_context
             if context is None:
                 raise BadCapture(f"{self.path}: is in a codec that FFmpeg does not know, or is damaged")
-            require_pixels(context.width, context.height, max_megapixels, str(self.path), BadCapture)
+            require_pixels(context.width, context.height, max_megapixels, str(self.path))
             if not context.pix_fmt:
                 raise BadCapture(f"{self.path}: no frame can be decoded; the file is damaged or cut off")
             self._stored_size = (int(context.width), int(context.height))
@@ -99,7 +99,7 @@ class VideoReader:
             self._time_base_s = float(stream.time_base)
             self._require_progressive(int(context.field_order or 0) >= _FIRST_INTERLACED)
             self.stated = self._stated(container, stream)
-            require_heeded(self.stated, str(self.path), BadCapture, "views a frame (stereo)")
+            require_heeded(self.stated, str(self.path), "views a frame (stereo)")
         turned = -1 if self.stated.orientation.transposed else 1
         width, height = self._stored_size[::turned]
         smaller = 2 if self._bayer is not None and self._demosaic is Demosaic.HALF else 1

@@ -1,8 +1,10 @@
 """.npy and .npz files, mapped, read or streamed, without pickles; every failure is one line."""
 
+import contextlib
 import math
 import tokenize
 import zipfile
+import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,7 +22,7 @@ _LONGEST_REASON = 200
 _BYTES_PER_PIXEL = 8  # a depth in double precision
 _DAMAGES = (
     ValueError, OSError, EOFError, SyntaxError, OverflowError, tokenize.TokenError, zipfile.BadZipFile,
-    MemoryError, NotImplementedError, RuntimeError,
+    MemoryError, NotImplementedError, RuntimeError, zlib.error,
 )  # fmt: skip
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # the least that a ZIP can state: the same arrays give the same bytes
 
@@ -36,32 +38,49 @@ def map_npy(path: Path | str, error: type[BadInput] = BadInput) -> Any:
 
 def read_npz(path: Path | str, key: str) -> npt.NDArray[Any]:
     """Return the array of this name from a .npz file; raise `BadInput`."""
+    with _opened_npz(path) as archive:
+        _require_size(archive, key, path)
+        return np.asarray(archive[key])
+
+
+def shapes_in_npz(path: Path | str) -> dict[str, tuple[int, ...]]:
+    """Return the shapes of a .npz file's arrays by name; none is unpacked. Raises `BadInput`."""
+    with _opened_npz(path) as archive:
+        return {name: _header_of(archive, name)[0] for name in archive.files}
+
+
+@contextlib.contextmanager
+def _opened_npz(path: Path | str) -> Iterator[Any]:
     path = require_file(path)
     try:
         with np.load(path, allow_pickle=False) as archive:
-            _require_size(archive, key, path)
-            return np.asarray(archive[key])
+            yield archive
     except KeyError as problem:
-        raise BadInput(f"{path}: holds no array '{key}'") from problem
+        raise BadInput(f"{path}: holds no array {problem}") from problem
     except (*_DAMAGES, AttributeError, TypeError) as problem:  # of a .npy file that bears this name
         raise BadInput(f"{path}: is not a whole .npz archive ({_reason(problem)})") from problem
 
 
-def _require_size(archive: Any, key: str, path: Path) -> None:
-    """Refuse an array that unpacks to more than an image of four floats a pixel, before it is unpacked."""
-    name = next(member for member in (f"{key}.npy", key) if member in archive.zip.namelist() or member == key)
-    size, most = archive.zip.getinfo(name).file_size, reading_limits().max_megapixels * 1e6 * _BYTES_PER_PIXEL
+def _header_of(archive: Any, key: str) -> tuple[tuple[int, ...], int]:
+    """Return an array's shape, and the bytes that it unpacks to or says that it does."""
+    if key not in archive.files:
+        raise KeyError(key)
+    name = f"{key}.npy" if f"{key}.npy" in archive.zip.namelist() else key
     with archive.zip.open(name) as member:
-        version = np.lib.format.read_magic(member)
-        read = (
-            np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-        )
-        shape, _, dtype = read(member)
-    promised = math.prod(shape) * dtype.itemsize
-    if max(size, promised) > most:
+        is_first = np.lib.format.read_magic(member) == (1, 0)
+        form = np.lib.format
+        shape, _, dtype = (form.read_array_header_1_0 if is_first else form.read_array_header_2_0)(member)
+    return shape, max(archive.zip.getinfo(name).file_size, math.prod(shape) * dtype.itemsize)
+
+
+def _require_size(archive: Any, key: str, path: Path | str) -> None:
+    """Refuse an array that unpacks to more than an image of doubles, before it is unpacked."""
+    _, size = _header_of(archive, key)
+    most = reading_limits().max_megapixels * 1e6 * _BYTES_PER_PIXEL
+    if size > most:
         raise BadInput(
-            f"{path}: the array '{key}' unpacks to {max(size, promised) / 1e6:.0f} MB, more than the limit "
-            f"of {most / 1e6:.0f}; raise --max-megapixels if that is meant"
+            f"{path}: the array '{key}' unpacks to {size / 1e6:.0f} MB, more than the limit of "
+            f"{most / 1e6:.0f}; raise --max-megapixels if that is meant"
         )
 
 

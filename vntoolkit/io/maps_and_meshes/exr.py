@@ -59,7 +59,7 @@ class ExrHeader:
     stated: Stated
 
 
-def read_exr_header(data: bytes, name: str, error: type[BadInput] = BadInput) -> ExrHeader:
+def _read_header(data: bytes, name: str) -> ExrHeader:
     """Read the header of an EXR, of its first part, without decoding any pixel."""
     import OpenEXR
 
@@ -70,7 +70,7 @@ def read_exr_header(data: bytes, name: str, error: type[BadInput] = BadInput) ->
             channels = tuple(channel.name for channel in header["channels"])  # decoded here, as UTF-8
             stated = _stated_by(header, len(file.parts))
     except (RuntimeError, ValueError, TypeError) as problem:
-        raise error(f"{name}: the EXR header is damaged or cut off") from problem
+        raise BadCapture(f"{name}: the EXR header is damaged or cut off") from problem
     (x0, y0), (x1, y1) = (corner.tolist() for corner in header["dataWindow"])
     (left, top), (right, bottom) = (corner.tolist() for corner in header["displayWindow"])
     return ExrHeader(
@@ -97,40 +97,38 @@ def _stated_by(header: Mapping[str, Any], parts: int) -> Stated:
     )
 
 
-def read_exr(
-    path: Path | str, *, max_megapixels: float | None = None, error: type[BadInput] = BadCapture
-) -> tuple[dict[str, Array], Mapping[str, str]]:
-    """Read all channels as (h, w) arrays of their own type, and the text attributes of the header.
+def read_exr(path: Path | str, *, max_megapixels: float | None = None) -> tuple[dict[str, Array], ExrHeader]:
+    """Read all channels as (h, w) arrays of their own type, and the header.
 
     (h, w) is the display window, the whole picture; it is 0 where no pixel is stored. Values are returned as
-    stored: NaN is the caller's business. Raises `error` with one line, also for a file of several parts.
+    stored: NaN is the caller's business. Raises `BadCapture`, also for a file of several parts.
     """
     import OpenEXR
 
-    with opened(path, error) as stream:
+    with opened(path, BadCapture) as stream:
         data = stream.read(_LONGEST_HEADER)
         if data[:4] != MAGIC:
-            raise error(f"{path}: is not an OpenEXR file")
-        header = read_exr_header(data, str(path), error)
+            raise BadCapture(f"{path}: is not an OpenEXR file")
+        header = _read_header(data, str(path))
         if len(header.channels) > _MOST_CHANNELS:
-            raise error(
+            raise BadCapture(
                 f"{path}: has {len(header.channels)} channels, at most {_MOST_CHANNELS} are read; save the "
                 "layer that is meant"
             )
-        require_heeded(header.stated, str(path), error, "parts or views")
+        require_heeded(header.stated, str(path), "parts or views")
         layers = -(-len(header.channels) // _CHANNELS_OF_A_PIXEL)
-        require_pixels(header.width * layers, header.height, max_megapixels, str(path), error)
+        require_pixels(header.width * layers, header.height, max_megapixels, str(path))
         stored = header.stored_width * layers, header.stored_height
-        require_pixels(*stored, max_megapixels, str(path), error)
+        require_pixels(*stored, max_megapixels, str(path))
         if header.width * header.height > _MOST_EMPTY * header.stored_width * header.stored_height:
-            raise error(
+            raise BadCapture(
                 f"{path}: its {header.stored_width}×{header.stored_height} pixels lie in a picture of "
                 f"{header.width}×{header.height}, a display window that can only be damaged; save it again"
             )
         size = os.fstat(stream.fileno()).st_size
         if size > len(data):
             if size > 8 * header.stored_width * header.stored_height * len(header.channels) + _LONGEST_HEADER:
-                raise error(
+                raise BadCapture(
                     f"{path}: {size / 1e6:.0f} MB are more than its {header.width}×{header.height} take"
                 )
             data += stream.read()
@@ -146,13 +144,13 @@ def read_exr(
             channels = {name: np.array(channel.pixels) for name, channel in image.channels().items()}
     except (RuntimeError, ValueError, TypeError) as problem:
         reason = " ".join(str(problem).split())
-        raise error(f"{path}: the EXR file is damaged or cut off ({reason}); copy it again") from problem
+        raise BadCapture(f"{path}: the EXR file is damaged or cut off ({reason}); copy it again") from problem
     for name, values in channels.items():
         shape = (header.stored_height, header.stored_width)
-        require_shape(values, shape, f"{path}: channel {name}", error)
+        require_shape(values, shape, f"{path}: channel {name}", BadCapture)
         if values.dtype == np.object_:
-            raise error(f"{path}: channel {name} is deep; expected one value a pixel: flatten it first")
-    return {name: _in_display_window(values, header) for name, values in channels.items()}, header.texts
+            raise BadCapture(f"{path}: channel {name} is deep; expected one value a pixel: flatten it first")
+    return {name: _in_display_window(values, header) for name, values in channels.items()}, header
 
 
 def _in_display_window(values: Array, header: ExrHeader) -> Array:

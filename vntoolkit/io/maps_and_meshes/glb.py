@@ -35,7 +35,9 @@ _TYPES = {
 _SKIN_BYTES = 28 * 2**20  # of a clip with skin: the blend shapes take what the surface leaves
 _INFLUENCES = 8  # of joints on a vertex: two sets of four; some viewers read the first set alone
 _FIRST_JOINT = 1  # of the nodes of a clip with skin: node 0 is the cloth
+_KINDS = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4", 16: "MAT4"}  # by the numbers of an element
 _ARRAY_BUFFER, _INDEX_BUFFER = 34962, 34963
+_NOTHING = "a GLB needs at least one frame and one triangle"
 _HEADER = struct.Struct("<4sII")
 _CHUNK = struct.Struct("<I4s")
 # glTF's default is bare metal, which shows black; captured cloth is one layer, seen from both sides
@@ -55,39 +57,35 @@ class _Binary:
         self.views: list[dict[str, Any]] = []
         self.accessors: list[dict[str, Any]] = []
 
-    def add(self, values: Array, kind: str, *, target: int | None = None, normalised: bool = False) -> int:
-        """Append an array; return the number of its accessor. Rows here are multiples of 4 bytes."""
-        content = np.ascontiguousarray(values).tobytes()
-        view: dict[str, Any] = {"buffer": 0, "byteOffset": self.size, "byteLength": len(content)}
-        if target is not None:
-            view["target"] = target
+    def add(self, values: Array, target: int | None = None, *, normalised: bool = False) -> int:
+        """Append an array, a row an element; return the number of its accessor."""
+        rows = values.reshape(len(values), -1)
+        kind = _KINDS[rows.shape[1]]
+        view = self.add_bytes(np.ascontiguousarray(values).tobytes())
         accessor: dict[str, Any] = {
-            "bufferView": len(self.views),
+            "bufferView": view,
             "componentType": _TYPES[values.dtype],
-            "count": values.size if kind == "SCALAR" else len(values),
+            "count": len(values),
             "type": kind,
         }
+        if target is not None:
+            self.views[view]["target"] = target
         if normalised:
             accessor["normalized"] = True
         if kind in ("VEC3", "SCALAR") and target != _INDEX_BUFFER:  # positions and times need their range
-            rows = values.reshape(len(values), -1) if kind != "SCALAR" else values.reshape(-1, 1)
             accessor["min"], accessor["max"] = rows.min(axis=0).tolist(), rows.max(axis=0).tolist()
-        self.size += len(content)
+        self.accessors.append(accessor)
+        return len(self.accessors) - 1
+
+    def add_bytes(self, content: bytes) -> int:
+        """Append bytes as they are; return the number of their view."""
+        self.views.append({"buffer": 0, "byteOffset": self.size, "byteLength": len(content)})
+        self.parts.append(content + b"\0" * (-len(content) % 4))
+        self.size += len(self.parts[-1])
         if self.size > MAX_BYTES:
             raise CannotWrite(
                 f"the clip exceeds {MAX_BYTES // 2**20} MiB as GLB: write .usdc, or fewer frames"
             )
-        self.parts.append(content)
-        self.views.append(view)
-        self.accessors.append(accessor)
-        return len(self.accessors) - 1
-
-    def add_file(self, content: bytes) -> int:
-        """Append a file as it is; return the number of its view."""
-        padded = content + b"\0" * (-len(content) % 4)
-        self.views.append({"buffer": 0, "byteOffset": self.size, "byteLength": len(content)})
-        self.parts.append(padded)
-        self.size += len(padded)
         return len(self.views) - 1
 
 
@@ -111,16 +109,42 @@ def write_glb(
     if texture is not None and texture.albedo is not None:
         template = replace(template, colours=None)
     require_positive(frame_rate_hz, f"{path}: frame rate")
-    count, document, binary = _content(template, frames, str(path), camera, texture)
-    if count > 1:
+    _require_triangles(path, template)
+    binary = _Binary()
+    primitive: dict[str, Any] = {"attributes": {}, "mode": 4, "material": 0}
+    targets: list[dict[str, int]] = []
+    first = base = np.empty((0, 3), np.float32)
+    count = 0
+    for count, vertices in enumerate(frames, start=1):
+        require_shape(vertices, (len(template.vertices), 3), f"frame {count - 1}", BadMesh)
+        require_finite(vertices, f"frame {count - 1}", BadMesh)
+        positions = graphics_from_camera(np.asarray(vertices)).astype(np.float32)
+        normals = _normals(positions, template)
+        if count == 1:
+            first, base = positions, normals
+            _add_surface(binary, primitive, replace(template, normals=None), positions)
+            continue
+        steps = {"POSITION": positions - first, "NORMAL": normals - base}
+        targets.append({name: binary.add(step, _ARRAY_BUFFER) for name, step in steps.items()})
+    if not count:
+        raise BadMesh(f"{path}: {_NOTHING}")
+    mesh: dict[str, Any] = {"primitives": [primitive]}
+    document = _document(mesh, [{"mesh": 0, "name": "Surface"}], [0], camera, texture, binary)
+    if targets:
+        primitive["targets"] = targets
+        mesh["weights"] = [0.0] * len(targets)
         seconds = np.arange(count) / frame_rate_hz if times_s is None else times_s
         require_times(seconds, count, f"{path}: times")
         # frame k has the weight of target k - 1 at 1 and all others at 0; frame 0 is the mesh itself
         weights = np.eye(count, count - 1, k=-1, dtype=np.float32)
-        outputs = [(0, "weights", binary.add(weights.ravel(), "SCALAR"))]
-        document["animations"] = [_animation(binary, seconds, outputs)]
+        document["animations"] = [_animation(binary, seconds, [(0, "weights", binary.add(weights.ravel()))])]
     _write(path, document, binary)
     return count
+
+
+def _require_triangles(path: Path | str, mesh: Mesh) -> None:
+    if not len(mesh.faces):
+        raise BadMesh(f"{path}: {_NOTHING}")
 
 
 def write_glb_skin(
@@ -135,8 +159,7 @@ def write_glb_skin(
     Eight joints a vertex, and as many blend shapes as keep the file below 30 MB. Raises `CannotWrite`.
     """
     require_positive(clip.motion.frame_rate_hz, f"{path}: frame rate")
-    if not len(clip.mesh.faces):
-        raise BadMesh(f"{path}: a GLB needs at least one frame and one triangle")
+    _require_triangles(path, clip.mesh)
     clip = _of_moderate_size(clip, texture)
     motion = motion_with_axes_turned(clip.motion)
     binary = _Binary()
@@ -173,16 +196,12 @@ def _skinned_mesh(binary: _Binary, clip: SkinnedClip) -> dict[str, Any]:
     attributes = primitive["attributes"]
     for number in range(_INFLUENCES // 4 if weights[:, 4:].any() else 1):
         four = slice(4 * number, 4 * number + 4)
-        attributes[f"JOINTS_{number}"] = binary.add(joints[:, four], "VEC4", target=_ARRAY_BUFFER)
-        attributes[f"WEIGHTS_{number}"] = binary.add(
-            weights[:, four], "VEC4", target=_ARRAY_BUFFER, normalised=True
-        )
+        attributes[f"JOINTS_{number}"] = binary.add(joints[:, four], _ARRAY_BUFFER)
+        attributes[f"WEIGHTS_{number}"] = binary.add(weights[:, four], _ARRAY_BUFFER, normalised=True)
     mesh: dict[str, Any] = {"primitives": [primitive], "name": "Cloth"}
     if len(clip.shapes):
         steps = (graphics_from_camera(shape).astype(np.float32) for shape in clip.shapes)
-        primitive["targets"] = [
-            {"POSITION": binary.add(step, "VEC3", target=_ARRAY_BUFFER)} for step in steps
-        ]
+        primitive["targets"] = [{"POSITION": binary.add(step, _ARRAY_BUFFER)} for step in steps]
         mesh["weights"] = clip.shape_weights[0].tolist()
     return mesh
 
@@ -214,21 +233,21 @@ def _skin(binary: _Binary, clip: SkinnedClip) -> dict[str, Any]:
     return {
         "joints": list(range(_FIRST_JOINT, _FIRST_JOINT + len(bind))),
         "skeleton": _FIRST_JOINT,
-        "inverseBindMatrices": binary.add(columns, "MAT4"),
+        "inverseBindMatrices": binary.add(columns),
     }
 
 
 def _skin_animation(binary: _Binary, clip: SkinnedClip, motion: Motion) -> dict[str, Any]:
     """Return the turns of the joints, the path of the root, and the weights of the blend shapes."""
     outputs: list[tuple[int, str, int]] = [
-        (_FIRST_JOINT + joint, "rotation", binary.add(motion.rotations[:, joint].astype(np.float32), "VEC4"))
+        (_FIRST_JOINT + joint, "rotation", binary.add(motion.rotations[:, joint].astype(np.float32)))
         for joint in range(len(motion.skeleton.names))
     ]
-    path = binary.add(motion.root_positions.astype(np.float32), "VEC3")
+    path = binary.add(motion.root_positions.astype(np.float32))
     outputs.append((_FIRST_JOINT, "translation", path))
     if len(clip.shapes):
         sliders = clip.shape_weights.astype(np.float32).ravel()
-        outputs.append((0, "weights", binary.add(sliders, "SCALAR")))
+        outputs.append((0, "weights", binary.add(sliders)))
     return _animation(binary, np.arange(len(motion)) / motion.frame_rate_hz, outputs)
 
 
@@ -279,7 +298,7 @@ def _document(
 def _images(texture: SurfaceTexture, material: dict[str, Any], binary: _Binary) -> dict[str, Any]:
     """Embed the textures, and let the material show them."""
     files = [file for file in (texture.albedo, texture.normal) if file is not None]
-    images = [{"bufferView": binary.add_file(file.read_bytes()), "mimeType": "image/png"} for file in files]
+    images = [{"bufferView": binary.add_bytes(file.read_bytes()), "mimeType": "image/png"} for file in files]
     looks = dict(material["pbrMetallicRoughness"])
     if texture.albedo is not None:
         looks["baseColorTexture"] = {"index": 0}
@@ -292,46 +311,6 @@ def _images(texture: SurfaceTexture, material: dict[str, Any], binary: _Binary) 
     }
 
 
-def _content(
-    template: Mesh,
-    frames: Iterable[Points],
-    name: str,
-    camera: ViewedFrom | None,
-    texture: SurfaceTexture | None,
-) -> tuple[int, dict[str, Any], _Binary]:
-    """Return the number of frames, and what describes and holds them, but for their times."""
-    nothing = BadMesh(f"{name}: a GLB needs at least one frame and one triangle")
-    if not len(template.faces):
-        raise nothing
-    binary = _Binary()
-    primitive: dict[str, Any] = {"attributes": {}, "mode": 4, "material": 0}
-    first: Float32Array | None = None
-    base: Float32Array | None = None
-    targets: list[dict[str, int]] = []
-    for index, vertices in enumerate(frames):
-        require_shape(vertices, (len(template.vertices), 3), f"frame {index}", BadMesh)
-        require_finite(vertices, f"frame {index}", BadMesh)
-        positions = graphics_from_camera(np.asarray(vertices)).astype(np.float32)
-        if first is None or base is None:
-            first, base = positions, _normals(positions, template)
-            _add_surface(binary, primitive, replace(template, normals=None), first)
-        else:
-            targets.append(
-                {
-                    "POSITION": binary.add(positions - first, "VEC3", target=_ARRAY_BUFFER),
-                    "NORMAL": binary.add(_normals(positions, template) - base, "VEC3", target=_ARRAY_BUFFER),
-                }
-            )
-    if first is None:
-        raise nothing
-    mesh: dict[str, Any] = {"primitives": [primitive]}
-    document = _document(mesh, [{"mesh": 0, "name": "Surface"}], [0], camera, texture, binary)
-    if targets:
-        primitive["targets"] = targets
-        mesh["weights"] = [0.0] * len(targets)
-    return len(targets) + 1, document, binary
-
-
 def _normals(positions: Float32Array, template: Mesh) -> Float32Array:
     """Return (n, 3) unit vertex normals; where a vertex has no triangle, towards the viewer."""
     normals = vertex_normals(positions, template.faces)
@@ -341,27 +320,25 @@ def _normals(positions: Float32Array, template: Mesh) -> Float32Array:
 
 def _add_surface(binary: _Binary, primitive: dict[str, Any], template: Mesh, positions: Float32Array) -> None:
     attributes = primitive["attributes"]
-    attributes["POSITION"] = binary.add(positions, "VEC3", target=_ARRAY_BUFFER)
+    attributes["POSITION"] = binary.add(positions, _ARRAY_BUFFER)
     normals = _normals(positions, template)
     if template.normals is not None:
         given = graphics_from_camera(np.asarray(template.normals)).astype(np.float32)
         normals = np.where(np.abs(np.linalg.norm(given, axis=1, keepdims=True) - 1) < 1e-3, given, normals)
-    attributes["NORMAL"] = binary.add(normals, "VEC3", target=_ARRAY_BUFFER)
+    attributes["NORMAL"] = binary.add(normals, _ARRAY_BUFFER)
     if template.colours is not None:
         colours = np.clip(np.asarray(template.colours, dtype=np.float32), 0, 1)
-        attributes["COLOR_0"] = binary.add(colours, "VEC3", target=_ARRAY_BUFFER)
+        attributes["COLOR_0"] = binary.add(colours, _ARRAY_BUFFER)
     if template.uv is not None:
         uv = np.array(template.uv, dtype=np.float32)
         uv[:, 1] = 1 - uv[:, 1]  # glTF counts v downwards
-        attributes["TEXCOORD_0"] = binary.add(uv, "VEC2", target=_ARRAY_BUFFER)
-    primitive["indices"] = binary.add(
-        np.asarray(template.faces, dtype=np.uint32).ravel(), "SCALAR", target=_INDEX_BUFFER
-    )
+        attributes["TEXCOORD_0"] = binary.add(uv, _ARRAY_BUFFER)
+    primitive["indices"] = binary.add(np.asarray(template.faces, dtype=np.uint32).ravel(), _INDEX_BUFFER)
 
 
 def _animation(binary: _Binary, times_s: FloatArray, outputs: list[tuple[int, str, int]]) -> dict[str, Any]:
     """Return an animation. outputs: node, what of it moves, and the accessor of its values."""
-    times = binary.add(np.asarray(times_s, dtype=np.float32), "SCALAR")
+    times = binary.add(np.asarray(times_s, dtype=np.float32))
     return {
         "name": "Motion",
         "samplers": [

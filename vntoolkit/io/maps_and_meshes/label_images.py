@@ -41,9 +41,9 @@ def write_materials(path: Path | str, labels: ByteArray) -> None:
     write_bytes(path, _indexed(labels, MATERIAL_PALETTE, "number of the material in reconstruction.json"))
 
 
-def read_materials(path: Path | str, *, max_megapixels: float | None = None) -> ByteArray:
+def read_materials(path: Path | str) -> ByteArray:
     """Read (h, w) numbers of materials from an indexed PNG of `write_materials`."""
-    return _numbers(path, MATERIAL_PALETTE, "material labels", max_megapixels)
+    return _numbers(path, MATERIAL_PALETTE, "material labels")
 
 
 def write_labels(path: Path | str, labels: VisibilityLabels) -> None:
@@ -55,9 +55,9 @@ def write_labels(path: Path | str, labels: VisibilityLabels) -> None:
     write_bytes(path, _indexed(labels, _PALETTE, legend))
 
 
-def read_labels(path: Path | str, *, max_megapixels: float | None = None) -> VisibilityLabels:
+def read_labels(path: Path | str) -> VisibilityLabels:
     """Read (h, w) labels from an indexed PNG of `write_labels`, or from grey values 0 to 7."""
-    return _numbers(path, _PALETTE, "visibility labels", max_megapixels)
+    return _numbers(path, _PALETTE, "visibility labels")
 
 
 def _indexed(labels: ByteArray, palette: ByteArray, legend: str) -> bytes:
@@ -73,10 +73,10 @@ def _indexed(labels: ByteArray, palette: ByteArray, legend: str) -> bytes:
     return stream.getvalue()
 
 
-def _numbers(path: Path | str, palette: ByteArray, what: str, max_megapixels: float | None) -> ByteArray:
+def _numbers(path: Path | str, palette: ByteArray, what: str) -> ByteArray:
     from vntoolkit.io.footage.images import read_image
 
-    rgb = read_image(path, max_megapixels=max_megapixels, error=BadInput)
+    rgb = read_image(path)
     if rgb.dtype != np.uint8:
         raise BadInput(f"{path}: {what} are 8-bit, got {rgb.dtype}")
     last = len(palette) - 1

@@ -52,7 +52,6 @@ def read_normal_map(
     *,
     convention: NormalConvention | None = None,
     mask: Mask | None = None,
-    max_megapixels: float | None = None,
 ) -> NormalMap:
     """Read a normal map of this program or of another one. What had to be assumed is logged.
 
@@ -61,7 +60,7 @@ def read_normal_map(
     """
     from vntoolkit.io.maps_and_meshes.stored_normals import read_stored_normals
 
-    found = read_stored_normals(path, mask, max_megapixels=max_megapixels)
+    found = read_stored_normals(path, mask)
     for note in found.notes:
         logger.warning("%s: %s", path, note)
     signs = np.array((convention or found.convention or NormalConvention.OPENGL).signs, np.float32)
@@ -90,9 +89,9 @@ def write_depth_map(
     write_exr(path, channels, attributes=attributes, compression=compression)
 
 
-def read_depth_map(path: Path | str, *, max_megapixels: float | None = None) -> DepthMap:
+def read_depth_map(path: Path | str) -> DepthMap:
     """Read the channel Z of an EXR; NaN and infinity are invalid. Without a stated unit: pixels."""
-    channels, texts = read_exr(path, max_megapixels=max_megapixels, error=BadInput)
+    channels, header = read_exr(path)
     z = channels.get("Z")
     if z is None:
         raise BadInput(f"{path}: expected a channel Z, found {', '.join(channels)}")
@@ -100,9 +99,9 @@ def read_depth_map(path: Path | str, *, max_megapixels: float | None = None) -> 
     if not mask.any():
         raise BadInput(f"{path}: no pixel holds a depth")
     try:
-        unit = LengthUnit(texts.get(_UNIT_ATTRIBUTE, LengthUnit.PIXEL.value))
+        unit = LengthUnit(header.texts.get(_UNIT_ATTRIBUTE, LengthUnit.PIXEL.value))
     except ValueError as problem:
-        raise BadInput(f"{path}: unknown length unit '{texts[_UNIT_ATTRIBUTE]}'") from problem
+        raise BadInput(f"{path}: unknown length unit '{header.texts[_UNIT_ATTRIBUTE]}'") from problem
     error = channels.get(_DEPTH_ERROR_CHANNEL)
     return DepthMap(
         depth=np.where(mask, z, 0).astype(np.float32),

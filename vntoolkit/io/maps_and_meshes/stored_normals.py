@@ -11,7 +11,6 @@ import numpy as np
 from vntoolkit.arrays import Array, Float32Array, FloatArray, Mask
 from vntoolkit.checks import require_shape
 from vntoolkit.errors import BadInput
-from vntoolkit.io.files import require_file
 from vntoolkit.io.maps_and_meshes.exr import read_exr
 from vntoolkit.io.maps_and_meshes.maps import CONVENTION_ATTRIBUTE, ERROR_CHANNEL
 from vntoolkit.options.export import NormalConvention
@@ -39,22 +38,20 @@ class StoredNormals:
     notes: tuple[str, ...] = ()
 
 
-def read_stored_normals(
-    path: Path | str, mask: Mask | None = None, *, max_megapixels: float | None = None
-) -> StoredNormals:
+def read_stored_normals(path: Path | str, mask: Mask | None = None) -> StoredNormals:
     """Read a normal map: PNG, TIFF or JPEG of 8 or 16 bits or floats, EXR, NPZ, or MAT as DiLiGenT's."""
     path = Path(path)
     weight, error, stated, alpha = None, None, None, None
     match path.suffix.lower():
         case ".exr":
-            samples, weight, error, stated = _exr_planes(path, max_megapixels)
+            samples, weight, error, stated = _exr_planes(path)
             alpha = None if weight is None else weight > 0
         case ".npz" | ".mat":
             samples = _normals_of_archive(path)
         case _:
             from vntoolkit.io.footage.images import read_image_with_alpha
 
-            samples, alpha = read_image_with_alpha(path, max_megapixels=max_megapixels)
+            samples, alpha = read_image_with_alpha(path)
     if mask is not None and mask.shape != samples.shape[:2]:
         (height, width), (rows, columns) = mask.shape, samples.shape[:2]
         raise BadInput(f"{path}: is {columns}×{rows} but its mask is {width}×{height}; give one of its size")
@@ -70,10 +67,10 @@ def read_stored_normals(
 
 
 def _exr_planes(
-    path: Path, max_megapixels: float | None
+    path: Path,
 ) -> tuple[Float32Array, Float32Array | None, Float32Array | None, NormalConvention | None]:
     """Return what an EXR holds of normals: vectors (h, w, 3) as stored, confidence, errors, stated axes."""
-    channels, texts = read_exr(path, max_megapixels=max_megapixels, error=BadInput)
+    channels, header = read_exr(path)
     names = next((n for n in ("RGB", "XYZ", "xyz") if set(n) <= set(channels)), None)
     if names is None:
         raise BadInput(f"{path}: expected the channels R, G, B or X, Y, Z, found {', '.join(channels)}")
@@ -83,7 +80,7 @@ def _exr_planes(
     bad = 0 if weight is None else int((~np.isfinite(stored).all(axis=2) & (weight > 0)).sum())
     if bad:
         raise BadInput(f"{path}: {bad} normals are NaN or infinite")
-    convention = texts.get(CONVENTION_ATTRIBUTE)
+    convention = header.texts.get(CONVENTION_ATTRIBUTE)
     try:
         stated = None if convention is None else NormalConvention(convention)
         return stored, weight, error, stated
@@ -165,30 +162,15 @@ def _off(vectors: FloatArray) -> float:
 
 def _normals_of_archive(path: Path) -> Array:
     """Return the one array (h, w, 3) of an archive; of several, the one that is named for normals."""
-    from vntoolkit.io.maps_and_meshes.arrays import read_npz
+    from vntoolkit.io.maps_and_meshes.arrays import read_npz, shapes_in_npz
+    from vntoolkit.io.maps_and_meshes.mat import read_mat
 
-    shapes = _shapes_in(require_file(path))
+    is_mat = path.suffix.lower() == ".mat"
+    arrays = read_mat(path) if is_mat else {}
+    shapes = {name: values.shape for name, values in arrays.items()} if is_mat else shapes_in_npz(path)
     maps = [name for name, shape in shapes.items() if len(shape) == 3 and shape[2] == 3]
     maps = [name for name in maps if "normal" in name.lower()] or maps
     if len(maps) != 1:
         held = ", ".join(f"{name} {shape}" for name, shape in shapes.items()) or "nothing"
         raise BadInput(f"{path}: expected one array (h, w, 3) of normals, it holds {held}")
-    if path.suffix.lower() == ".npz":
-        from vntoolkit.io.maps_and_meshes.arrays import read_npz
-
-        return read_npz(path, maps[0])
-    from scipy.io import loadmat
-
-    return np.asarray(loadmat(path, variable_names=maps)[maps[0]])
-
-
-def _shapes_in(path: Path) -> dict[str, tuple[int, ...]]:
-    try:
-        if path.suffix.lower() == ".mat":
-            from scipy.io import whosmat
-
-            return {name: shape for name, shape, _ in whosmat(path)}
-        with np.load(path, allow_pickle=False) as archive:
-            return {name: archive[name].shape for name in archive.files}
-    except (ValueError, OSError, EOFError, NotImplementedError, AttributeError, KeyError) as problem:
-        raise BadInput(f"{path}: is no whole {path.suffix} archive of arrays ({problem})") from problem
+    return arrays[maps[0]] if is_mat else read_npz(path, maps[0])

@@ -23,7 +23,7 @@ from vntoolkit.errors import BadMotion
 from vntoolkit.geometry.motion import Motion, Skeleton
 from vntoolkit.io.atomic import atomic_path
 from vntoolkit.io.conventions import motion_with_axes_turned
-from vntoolkit.io.files import require_file
+from vntoolkit.io.files import require_size
 
 MAX_MOTION_BYTES = 256 * 2**20  # ten minutes at 120 Hz of 31 joints are 50 MB
 MAX_DEPTH = 256  # of joints one below the other; a figure's fingers are a dozen deep
@@ -115,7 +115,7 @@ def read_bvh(path: Path) -> Motion:
     Position channels replace the OFFSET of their joint. Below the root they may not move, since bones keep
     their length. Raises `BadMotion`.
     """
-    require_motion_size(path)
+    require_motion_file(path)
     with path.open("rb") as start:
         marks = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
         encoding = "utf-16" if start.read(2) in marks else "utf-8-sig"
@@ -162,14 +162,9 @@ def read_bvh(path: Path) -> Motion:
     )
 
 
-def require_motion_size(path: Path) -> None:
-    """Raise unless the file exists and is small enough to be read in bounded memory."""
-    size = require_file(path, BadMotion).stat().st_size
-    if size > MAX_MOTION_BYTES:
-        raise BadMotion(
-            f"{path.name}: {size / 2**20:.0f} MiB; motion files over {MAX_MOTION_BYTES // 2**20} MiB are "
-            "refused: cut the recording into takes"
-        )
+def require_motion_file(path: Path) -> Path:
+    """Return the path of a file that exists and is small enough to be read in bounded memory."""
+    return require_size(path, MAX_MOTION_BYTES, "a motion; cut the recording into takes", BadMotion)
 
 
 def _read_hierarchy(words: _Words) -> list[_Joint]:

@@ -133,11 +133,6 @@ class FrameLog:
             stream.seek(-1, os.SEEK_END)
             return stream.read() != b"\n"
 
-    def clear(self) -> None:
-        """Forget all frames."""
-        self.close()
-        self.path.unlink(missing_ok=True)
-
     def close(self) -> None:
         """Close the file."""
         stream, self._stream = self._stream, None
