@@ -14,8 +14,15 @@ from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import HALF_WEIGHT_DEG, DepthMap, LengthUnit, NormalMap
 from vntoolkit.integration.cast_shadows import DepthSteps, with_steps
-from vntoolkit.integration.discontinuity import SlopeErrors, solve_discontinuous
-from vntoolkit.integration.edges import Components, edges_from_slopes
+from vntoolkit.integration.discontinuity import (
+    JumpSolver,
+    SlopeErrors,
+    are_explained,
+    inverse_of,
+    normalised_residuals,
+)
+from vntoolkit.integration.edges import Components, EdgeField, edges_from_slopes
+from vntoolkit.integration.expected_error import depth_deviations
 from vntoolkit.integration.poisson import CosineSolver, FourierSolver, MaskedSolver, RectangleSolver
 from vntoolkit.integration.slopes import RayField, rays_from_camera, slopes_from_normals
 from vntoolkit.native import njit
@@ -27,6 +34,7 @@ _LEAST_TRUST = np.float32(1e-4)  # of a pixel in the domain: with none, what lie
 _LEAST_SIZE = 5  # pixels that the one-sided stencils need
 _FEWEST_PIXELS = 64
 _VOTES = 20_000  # pixels that the median is taken over, evenly spread
+_NOTICED = 2.0  # standard deviations of the depth that cutting has to change somewhere
 _SMALLEST_SHARE = 0.02  # of a part's pixels that the reference must cover
 
 
@@ -186,15 +194,31 @@ class DomainSolver:
         return self.components.remove_means(self._least_squares(p, q, self._weight(normal_map), steps))
 
     def discontinuity(self, normal_map: NormalMap, steps: DepthSteps | None = None) -> Float64Array:
-        """Least squares; where the errors of the normals do not explain its residuals, with edges cut."""
+        """Least squares; where the errors of the normals do not explain its residuals, with edges cut.
+
+        What cutting changes less than the stated errors of the normals may bend the depth is left as it is.
+        """
         box, scale = self.components.box, self._rays.pixels_per_unit
         p, q = self._slopes(normal_map)
-        smooth = self._least_squares(p, q, self._weight(normal_map), steps)
         errors = slope_errors(normal_map, p, q, self._rays, self.domain, box, steps)
-        if errors.explain(smooth * scale):
+        edges = edges_from_slopes(p, q, self.domain[box])
+        trusted = errors.error_deg is not None or errors.steps is not None
+        if errors.steps is not None:
+            edges = replace(edges, difference=edges.difference + errors.steps / np.float32(scale))
+        if trusted:
+            edges = replace(edges, weight=inverse_of(errors.variance))
+        smooth = self._solve(edges, weighted=trusted)
+        wanted = edges.difference * np.float32(scale)
+        if are_explained(normalised_residuals(smooth * scale, wanted, errors.variance)):
             return self.components.remove_means(smooth)
-        solution = solve_discontinuous(self._masked, errors, smooth * scale)
-        return self.components.remove_means(solution / scale)
+        jumps = JumpSolver(self._masked, errors)
+        if normal_map.error_deg is not None:
+            change = self.components.remove_means(jumps.cut_once(smooth * scale) / scale - smooth)
+            if np.all(np.abs(change) <= _NOTICED * depth_deviations(normal_map, self.domain, self._rays)):
+                return self.components.remove_means(smooth)
+        if trusted:  # with the weights of errors, parts that hang on grazing normals may lie far off
+            smooth = self._least_squares(p, q, self._weight(normal_map), steps)
+        return self.components.remove_means(jumps.solve(smooth * scale) / scale)
 
     def _slopes(self, normal_map: NormalMap) -> tuple[Float32Array, Float32Array]:
         normals = normal_map.normals_in_camera[self.components.box]
@@ -213,7 +237,9 @@ class DomainSolver:
         if steps is not None:
             known, variances = steps.images(*box)
             edges = with_steps(edges, known / np.float32(self._rays.pixels_per_unit), variances)
-        weighted = weight is not None or steps is not None
+        return self._solve(edges, weighted=weight is not None or steps is not None)
+
+    def _solve(self, edges: EdgeField, *, weighted: bool) -> Float64Array:
         self._last = self._masked.solve(edges, self._last, weighted=weighted)
         self.iterations = self._masked.iterations
         return self._last
