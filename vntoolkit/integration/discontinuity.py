@@ -80,7 +80,7 @@ class SlopeErrors:
         turns = np.full((-(-len(self.p) // every), self.p.shape[1]), np.float32(-1))
         _normalised_turns(self.p, self.q, self.inside, every, turns)
         known = turns[turns >= 0]
-        noise = max(_deviation(known) if known.size else 0.0, _LEAST_NOISE)
+        noise = max(deviation_of(known) if known.size else 0.0, _LEAST_NOISE)
         out = np.zeros((2, *self.p.shape), np.float32)
         error = np.zeros((0, 0), np.float32) if self.error_deg is None else self.error_deg
         _variances(self.p, self.q, self.inside, error, np.float32(noise**2), every, out)
@@ -113,20 +113,21 @@ class JumpSolver:
     def __init__(self, solver: MaskedSolver, errors: SlopeErrors) -> None:
         self._solver = solver
         self._variance = errors.variance
-        self._difference = chords_from_slopes(errors.p, errors.q)
+        self.held = np.zeros_like(self._variance)  # weights of the last step
+        self.difference = chords_from_slopes(errors.p, errors.q)
         if errors.steps is not None:
-            self._difference += errors.steps
+            self.difference += errors.steps
 
     def cut_once(self, depth: FloatArray) -> FloatArray:
         """Return depth, of least squares, after one step with the last weights."""
-        residuals = normalised_residuals(depth, self._difference, self._variance)
+        residuals = normalised_residuals(depth, self.difference, self._variance)
         return self._step(depth, self._scale(residuals), _ROUND_TOLERANCE)
 
     def solve(self, depth: FloatArray) -> FloatArray:
         """Return the depth of all rounds; depth: that of least squares."""
         depth = self._step(depth, np.inf, _FIRST_TOLERANCE)
         for progress in np.linspace(0.0, 1.0, _ROUNDS + 1)[:-1]:
-            residuals = normalised_residuals(depth, self._difference, self._variance)
+            residuals = normalised_residuals(depth, self.difference, self._variance)
             if progress == 0.0 and are_explained(residuals):
                 break  # only grazing normals, which now count less, were off
             widening = _WIDENING ** max(0.0, 1.0 - progress / _NARROW_FROM)
@@ -134,12 +135,13 @@ class JumpSolver:
         return depth
 
     def _scale(self, residuals: Float32Array) -> float:
-        return max(_SCALE * _deviation(residuals), 1.0)
+        return max(_SCALE * deviation_of(residuals), 1.0)
 
     def _step(self, depth: FloatArray, scale: float, tolerance: float) -> FloatArray:
         """Solve with weights of the residuals of `depth`; scale: standard deviations that keep a quarter."""
         field = EdgeField(difference=np.zeros_like(self._variance), weight=np.zeros_like(self._variance))
-        _reweigh(depth, self._difference, self._variance, scale, field.difference, field.weight)
+        _reweigh(depth, self.difference, self._variance, scale, field.difference, field.weight)
+        self.held = field.weight
         return depth + self._solver.solve(
             field, weighted=True, tolerance=tolerance, most_iterations=_ROUND_ITERATIONS
         )
@@ -162,10 +164,10 @@ def are_explained(residuals: Float32Array) -> bool:
     """Whether the largest residual is no larger than the largest of so many normal deviates may be."""
     count = int(np.count_nonzero(residuals >= 0))
     largest = math.sqrt(2.0 * math.log(max(count, 1))) + 1.0
-    return bool(residuals.max(initial=0.0) <= largest * max(_deviation(residuals), 1.0))
+    return bool(residuals.max(initial=0.0) <= largest * max(deviation_of(residuals), 1.0))
 
 
-def _deviation(residuals: Float32Array) -> float:
+def deviation_of(residuals: Float32Array) -> float:
     """Return the deviation of sizes that are not below 0, by their median."""
     some = residuals[residuals >= 0]
     return _MEDIAN_TO_DEVIATION * float(np.median(some[:: 1 + len(some) // _VOTES])) if len(some) else 0.0
