@@ -53,22 +53,15 @@ vntoolkit is under the MIT licence. Its dependencies keep their own.
 
 This page is made by `scripts/licences.py` from the metadata of the locked packages.
 
-| package | licence | needed by |
-| --- | --- | --- |
+| package | licence |
+| --- | --- |
 """
 
 
-def locked() -> dict[str, list[str]]:
-    """Return each pinned package, and what needs it."""
-    found: dict[str, list[str]] = {}
-    name = ""
-    for line in (ROOT / "requirements.lock").read_text("utf-8").splitlines():
-        if pinned := re.match(r"([a-z0-9][\w.-]*)==", line):
-            name = pinned[1]
-            found.setdefault(name, [])
-        elif (wanted := re.match(r"    #\s+(?:via )?\s*([\w.-]+)", line)) and wanted[1] != "via":
-            found[name] += [wanted[1]] if wanted[1] not in found[name] else []
-    return found
+def locked() -> list[str]:
+    """Return the pinned packages in order of their names."""
+    lock = (ROOT / "requirements.lock").read_text("utf-8")
+    return sorted(set(re.findall(r"(?m)^([a-z0-9][\w.-]*)==", lock)))
 
 
 def licence_of(name: str) -> str:
@@ -87,9 +80,7 @@ def licence_of(name: str) -> str:
 
 def page() -> str:
     """Return the page."""
-    rows = [
-        f"| {name} | {licence_of(name)} | {', '.join(users)} |" for name, users in sorted(locked().items())
-    ]
+    rows = [f"| {name} | {licence_of(name)} |" for name in locked()]
     return HEAD + "\n".join(rows) + "\n"
 
 

@@ -9,13 +9,11 @@ import numpy as np
 import pytest
 
 from tests.faults.simulated_captures import random_response
-from vntoolkit.diagnosis.checks import findings_from_evidence, findings_from_rig
 from vntoolkit.diagnosis.evidence import FEW_PIXELS, PIXELS_BETWEEN_SEAMS, evidence_from_frames
 from vntoolkit.diagnosis.finding import FatalFinding, Finding, Level, judge
 from vntoolkit.diagnosis.flicker import check_bands, check_flicker
-from vntoolkit.diagnosis.inspection import findings_from_frames
-from vntoolkit.diagnosis.rig_checks import check_residual, check_stated_focal, check_zoom
-from vntoolkit.diagnosis.track_checks import findings_from_tracks
+from vntoolkit.diagnosis.inspection import findings_from_evidence, findings_from_frames
+from vntoolkit.diagnosis.rig_checks import check_residual, check_stated_focal, check_zoom, findings_from_rig
 from vntoolkit.diagnosis.transfer_match import check_transfer, check_transfer_of_samples
 from vntoolkit.diagnosis.white_balance import check_changing_gains
 from vntoolkit.geometry.camera import Camera
@@ -23,6 +21,7 @@ from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse, ResponseVariation, rgb_from_normals
 from vntoolkit.photometry.rig import FitQuality, Rig
 from vntoolkit.photometry.transfer import Transfer, encoded_from_linear, linear_from_encoded
+from vntoolkit.pipeline.track import findings_from_tracks
 
 H, W = 150, 200
 SRGB = Transfer.from_text("srgb")

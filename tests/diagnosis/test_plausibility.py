@@ -8,8 +8,8 @@ import pytest
 from tests.faults.simulated_captures import H, W, simulate_capture
 from vntoolkit.__main__ import main
 from vntoolkit.calibration.fit import fit_response
+from vntoolkit.diagnosis.axes import finding_from_axes, warn_of_flipped_axes
 from vntoolkit.diagnosis.inspection import examine_capture, inspect_capture
-from vntoolkit.diagnosis.outline import finding_from_axes, warn_of_flipped_axes
 from vntoolkit.diagnosis.rig_checks import check_coverage
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.io.footage.captures import CaptureOptions, open_capture

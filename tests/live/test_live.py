@@ -141,7 +141,7 @@ def test_a_file_that_is_not_in_real_time_loses_nothing() -> None:
 def test_recent_frames_tell_how_dark_a_frame_without_a_subject_is() -> None:
     rig = replace(RIG, response=replace(RESPONSE, matrix=RESPONSE.matrix / 6))
     bright, dim = encoded(dome_picture(), 0), encoded(dome_picture() // 30, 1)
-    alone, after = LiveProcessor(rig).lanes[0], LiveProcessor(rig).lanes[0]
+    alone, after = LiveProcessor(rig).begin, LiveProcessor(rig).begin
     assert alone(dim)[0].normal_map.mask.any()
     after(bright)
     with pytest.raises(NoSubject, match="far darker than before"):

@@ -11,7 +11,17 @@ import numpy as np
 from vntoolkit.calibration.ball_lamps import LitBall
 from vntoolkit.calibration.fit import ResponseFit
 from vntoolkit.cli.given import curve_from_text, rectification_from_corners, rig_with_corners
-from vntoolkit.cli.output import JSON, MESH, PAGE, PICTURE, ProgressBars, print_next, require_output, say
+from vntoolkit.cli.output import (
+    JSON,
+    MESH,
+    PAGE,
+    PICTURE,
+    ProgressBars,
+    print_next,
+    require_output,
+    say,
+    unused,
+)
 from vntoolkit.cli.verb import command, verb
 from vntoolkit.diagnosis.finding import judge, require_known_checks
 from vntoolkit.diagnosis.rig_checks import check_lamps, check_residual
@@ -178,7 +188,7 @@ def calibrate_lights(asked: LightsArguments) -> Rig:
 
 
 def _print_what_is_next(out: File) -> None:
-    print_next("reconstruct", "capture.mkv", "--rig", str(out), "--out", "result")
+    print_next("reconstruct", "capture.mkv", "--rig", str(out), "--out", unused("result"))
 
 
 def _keep(out: Path, rig: Rig, job: CalibrationJob, fit: ResponseFit | None = None) -> None:

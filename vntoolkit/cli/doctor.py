@@ -21,7 +21,7 @@ from rich.table import Table
 
 from vntoolkit import __version__, libraries
 from vntoolkit.cli.given import curve_from_text
-from vntoolkit.cli.output import print_next
+from vntoolkit.cli.output import print_next, unused
 from vntoolkit.cli.verb import command, verb
 from vntoolkit.errors import BadCapture, BadInput, escaped
 from vntoolkit.options.base import OptionalFile, as_path, named
@@ -113,7 +113,7 @@ def doctor_command(asked: DoctorArguments) -> int:
     fatal = any(finding.level is Level.FATAL for finding in report.findings)
     rig = Path(asked.rig or "rig.json")
     if not fatal and rig.is_file():
-        print_next("reconstruct", str(asked.source), "--rig", rig, "--out", "result")
+        print_next("reconstruct", str(asked.source), "--rig", rig, "--out", unused("result"))
     elif not fatal:
         print_next("board", "--out", "board.pdf")
     return int(fatal)

@@ -9,7 +9,15 @@ from pathlib import Path
 import numpy as np
 
 from vntoolkit.arrays import FloatArray
-from vntoolkit.cli.output import print_next, print_table, progress_bar, require_output, say, write_json
+from vntoolkit.cli.output import (
+    print_next,
+    print_table,
+    progress_bar,
+    require_output,
+    say,
+    unused,
+    write_json,
+)
 from vntoolkit.cli.verb import command, verb
 from vntoolkit.errors import BadInput, BadMesh
 from vntoolkit.evaluation import mesh_comparison
@@ -435,8 +443,7 @@ def _print_integration(out: Path, found: IntegrationEvaluation) -> None:
         columns = ["object", "integrator", "mean", "median"]
         print_table("depth error on real objects, mm", columns, table, names=2)
     say(f"{out}: integration.json, integration_curve.png, integration_map.png")
-    chosen = ("--integrator", "discontinuity", "--out", "result")
-    print_next("reconstruct", "capture.mkv", "--rig", "rig.json", *chosen)
+    print_next("reconstruct", "capture.mkv", "--rig", "rig.json", "--out", unused("result"))
 
 
 def _print_what_is_next(measured: Path) -> None:

@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 
 from vntoolkit.cli.given import rectification_from_corners, rig_with_corners
-from vntoolkit.cli.output import print_next, say
+from vntoolkit.cli.output import print_next, say, unused
 from vntoolkit.cli.verb import command, verb
-from vntoolkit.diagnosis.checks import findings_from_rig
 from vntoolkit.diagnosis.finding import judge, require_known_checks
+from vntoolkit.diagnosis.rig_checks import findings_from_rig
 from vntoolkit.errors import BadInput, VntError
 from vntoolkit.io.footage.captures import CaptureOptions, open_capture
 from vntoolkit.io.footage.decoding import EncodedFrame
@@ -119,7 +119,7 @@ def watch(asked: LiveArguments) -> list[Path]:
     if files:
         plate = [] if asked.background is None else ["--background", str(asked.background)]
         plate += [] if asked.key is None else ["--key", f"{asked.key:g}"]
-        print_next("reconstruct", files[-1], "--rig", str(asked.rig), *plate, "--out", "result")
+        print_next("reconstruct", files[-1], "--rig", str(asked.rig), *plate, "--out", unused("result"))
     return files
 
 

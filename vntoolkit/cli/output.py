@@ -3,6 +3,7 @@
 import contextlib
 import dataclasses
 import errno
+import itertools
 import json
 import logging
 import os
@@ -70,6 +71,12 @@ def plain_console() -> Console:
 def print_next(*words: str | Path) -> None:
     """Print the command that most often comes next, ready to paste into a shell."""
     say(f"next: {shlex.join(['vntoolkit', *map(str, words)])}")
+
+
+def unused(name: str) -> str:
+    """Return a name for a folder of results that is not there yet: result, result_2, ..."""
+    names = itertools.chain([name], (f"{name}_{number}" for number in itertools.count(2)))
+    return next(each for each in names if not Path(each).exists())
 
 
 def print_next_program(written: Path) -> None:

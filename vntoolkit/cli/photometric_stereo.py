@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from vntoolkit.cli.output import print_next, progress_bar, say
+from vntoolkit.cli.output import print_next, progress_bar, say, unused
 from vntoolkit.cli.verb import command, verb
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.io.results.folder import write_lock
@@ -23,7 +23,7 @@ def photometric_stereo(asked: PhotometricStereoArguments) -> NormalMap:
     say(f"{asked.out}: {int(found.mask.sum())} normals")
     if found.error_deg is not None:
         say(f"expected error: {np.median(found.error_deg[found.mask]):.1f} degrees, the median")
-    print_next("integrate", str(asked.out), "--out", "result")
+    print_next("integrate", str(asked.out), "--out", unused("result"))
     return found
 
 

@@ -6,7 +6,7 @@ from functools import partial
 from pathlib import Path
 from typing import ClassVar
 
-from vntoolkit.cli.output import ProgressBars, print_next, say
+from vntoolkit.cli.output import ProgressBars, print_next, say, unused
 from vntoolkit.cli.verb import command, verb
 from vntoolkit.errors import BadInput
 from vntoolkit.io.footage.frame_range import FrameRange
@@ -79,7 +79,7 @@ def simulate(asked: SimulateArguments) -> Path:
         pressed = earlier if earlier.is_file() else video  # touches are filmed after the presses
         print_next("calibrate", "presses", pressed, "--background", rest, *ball, "--out", "gel.json")
     elif own_rig.is_file():
-        print_next("reconstruct", video, "--rig", own_rig, "--out", "result")
+        print_next("reconstruct", video, "--rig", own_rig, "--out", unused("result"))
     else:  # under one lamp
         print_next("doctor", video)
     return out

@@ -9,7 +9,6 @@ import cv2
 import numpy as np
 
 from vntoolkit.arrays import Array, BoolArray, ByteArray, Float32Array, FloatArray, Int64Array, Mask, Matrix3
-from vntoolkit.materials.paint_levels import in_one_paint
 from vntoolkit.photometry import transfer as transfers
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.rig import Rig
@@ -56,13 +55,11 @@ class Evidence:
     @cached_property
     def directions(self) -> Float32Array:
         """(h, w, 3) viewing rays with z = 1; (0, 0, 1) everywhere for an orthographic camera."""
-        height, width = self.light.shape[1:3]
-        rays = np.zeros((height, width, 3), np.float32)
+        rays = np.zeros((*self.light.shape[1:3], 3), np.float32)
         rays[..., 2] = 1.0
         if self.rig.camera.is_perspective:
             k = self.rig.camera.matrix
-            rays[..., 0] = (self._columns - k[0, 2]) / k[0, 0]
-            rays[..., 1] = (self._rows - k[1, 2])[:, None] / k[1, 1]
+            rays[..., :2] = (self.positions_px - k[:2, 2]) / (k[0, 0], k[1, 1])
         return rays
 
     @cached_property
@@ -81,8 +78,8 @@ class Evidence:
     @cached_property
     def positions_px(self) -> FloatArray:
         """(h, w, 2), where in the footage an averaged pixel lies."""
-        u, v = np.meshgrid(self._columns, self._rows)
-        return np.stack([u, v], axis=-1)
+        v, u = np.indices(self.light.shape[1:3])
+        return (np.stack([u, v], axis=-1) + 0.5) / self.scale - 0.5
 
     @cached_property
     def ambient(self) -> Float32Array:
@@ -113,6 +110,8 @@ class Evidence:
     @cached_property
     def levelled(self) -> "Evidence":
         """The same footage as if its subject were of one paint; the steps of paint are told without M."""
+        from vntoolkit.materials.paint_levels import in_one_paint
+
         brightest = brightest_channel(self.light)
         subject = self.inside & ~self.clipped & (brightest > SUBJECT * np.percentile(brightest, 99))
         levelled = [
@@ -156,14 +155,6 @@ class Evidence:
             stripe = rows == part
             blocks[stripe] = part * side + _equal_parts(seen[stripe].sum(axis=0), side)
         return blocks
-
-    @property
-    def _columns(self) -> FloatArray:
-        return (np.arange(self.light.shape[2]) + 0.5) / self.scale - 0.5
-
-    @property
-    def _rows(self) -> FloatArray:
-        return (np.arange(self.light.shape[1]) + 0.5) / self.scale - 0.5
 
 
 def of_the_other_kind(read: transfers.Transfer) -> transfers.Transfer:

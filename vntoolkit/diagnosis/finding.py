@@ -4,9 +4,12 @@ import logging
 from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import Enum
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 from vntoolkit.errors import BadInput, VntError
+
+if TYPE_CHECKING:
+    from vntoolkit.io.results.manifest import FindingEntry
 
 logger = logging.getLogger(__name__)
 CLEAR_Z = 4.0  # standard errors from chance, from which most checks say something
@@ -59,6 +62,13 @@ class Finding:
             f"{self.problem}: measured {self.measured}, expected {self.expected}; {self.remedy} "
             f"[{self.check}], see {self.page}"
         )
+
+    @property
+    def entry(self) -> "FindingEntry":
+        """The finding as a manifest holds it."""
+        from vntoolkit.io.results.manifest import FindingEntry
+
+        return FindingEntry(check=self.check, level=self.level.value, text=self.text)
 
     @property
     def page(self) -> str:

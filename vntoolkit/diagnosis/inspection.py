@@ -12,8 +12,7 @@ from vntoolkit.checks import require_positive
 from vntoolkit.diagnosis import evidence as evidences
 from vntoolkit.diagnosis import flicker
 from vntoolkit.diagnosis import sharpness as sharp
-from vntoolkit.diagnosis.checks import findings_from_evidence, findings_from_rig
-from vntoolkit.diagnosis.empty_frames import finding_from_empty_frames
+from vntoolkit.diagnosis.added_light import check_black_level, check_gloss
 from vntoolkit.diagnosis.finding import Finding, Level
 from vntoolkit.diagnosis.header_checks import (
     CHROMA_COST_DEG,
@@ -22,7 +21,16 @@ from vntoolkit.diagnosis.header_checks import (
     findings_from_tag,
 )
 from vntoolkit.diagnosis.lamp_nearness import Nearness, finding_from_nearness, fit_nearness
-from vntoolkit.diagnosis.rig_checks import check_stated_focal
+from vntoolkit.diagnosis.outline import check_outline
+from vntoolkit.diagnosis.rig_checks import check_stated_focal, check_zoom, findings_from_rig
+from vntoolkit.diagnosis.surface_match import (
+    check_relatives,
+    check_structure,
+    note_of_levelled_paint,
+    paint_may_hide_surface,
+)
+from vntoolkit.diagnosis.transfer_match import check_calibrated_transfer, check_transfer
+from vntoolkit.diagnosis.white_balance import check_changing_gains, check_white_balance
 from vntoolkit.io.footage.captures import Capture, CaptureInfo, CaptureOptions, open_capture
 from vntoolkit.io.footage.frame_range import sampled
 from vntoolkit.io.footage.mattes import Mattes, open_mattes
@@ -103,7 +111,7 @@ def inspect_capture(
     shown: Sequence[int] = capture.present
     if rig is None or rig.gel is None or capture.background is None:
         from vntoolkit.diagnosis.steps import steps_of
-        from vntoolkit.diagnosis.subject import survey_of
+        from vntoolkit.diagnosis.subject import finding_from_empty_frames, survey_of
 
         survey = survey_of(capture, mattes, capture.present)
         shown = survey.frames_like(survey.shown, capture.present)
@@ -326,3 +334,70 @@ def frames_to_compare(capture: Capture, numbers: Sequence[int]) -> list[int]:
         quick = capture.readable_alone(number, within)
         chosen.add(quick if first <= quick <= last else number)
     return sorted(chosen)
+
+
+# What a few frames tell of the rig, the mask and the transfer curve.
+
+_LIT_OF_MASK = 0.15  # of the brightest hundredth of the picture
+_LEAST_LIT = 0.3
+_FEWEST_OF_MASK = 50
+
+
+def check_mask(evidence: evidences.Evidence) -> list[Finding]:
+    """Find a mask that covers the dark and leaves out what is lit."""
+    if not evidence.masked:
+        return []
+    brightest = evidences.brightest_channel(evidence.light)
+    lit = brightest > _LIT_OF_MASK * np.percentile(brightest, 99)
+    inside, outside = evidence.inside, ~evidence.inside
+    if min(int(inside.sum()), int(outside.sum())) < _FEWEST_OF_MASK:
+        return []
+    within, without = float(lit[inside].mean()), float(lit[outside].mean())
+    if within >= _LEAST_LIT or without <= 2 * within:
+        return []
+    return [Finding.of("mask", within=within, without=without)]
+
+
+# Each group is asked only where no check of a group before it found more than a note: a mask on the backdrop
+# explains noise, noise explains a surface that cannot be, exchanged channels explain lengths that vary, and
+# highlights explain contrast that is too high.
+CAPTURE_CHECKS: tuple[tuple[Callable[[evidences.Evidence], list[Finding]], ...], ...] = (
+    (check_mask,),
+    (check_structure,),
+    (check_relatives,),
+    (check_zoom,),
+    (check_outline, check_calibrated_transfer, check_transfer),
+    (check_gloss,),
+    (check_black_level,),
+    (check_white_balance, check_changing_gains),
+)
+
+# They compare lengths of M⁻¹(r − a), which clipping cuts, and of which levelled paint leaves little.
+_OF_LENGTHS = (
+    check_zoom, check_transfer, check_black_level, check_gloss, check_white_balance, check_changing_gains,
+)  # fmt: skip
+_MOST_CLIPPED = 0.05  # of the subject
+
+
+def findings_from_evidence(
+    evidence: evidences.Evidence, closer: Callable[[], evidences.Evidence] | None = None
+) -> list[Finding]:
+    """Return what a few frames tell of the rig, the mask and the transfer curve.
+
+    closer: gives the same frames averaged less, which are judged as if of one paint where that makes more of
+    a surface.
+    """
+    noted: list[Finding] = []
+    for group in CAPTURE_CHECKS:
+        if check_relatives in group and closer is not None and paint_may_hide_surface(evidence):
+            levelled = closer().levelled
+            if note := note_of_levelled_paint(levelled, evidence):
+                evidence = levelled
+                noted.append(note)
+        asks_lengths = evidence.painted is None and evidence.clipped_share < _MOST_CLIPPED
+        asked = [check for check in group if asks_lengths or check not in _OF_LENGTHS]
+        found = [finding for check in asked for finding in check(evidence)]
+        if any(finding.level is not Level.NOTE for finding in found):
+            return noted + found
+        noted += found
+    return noted

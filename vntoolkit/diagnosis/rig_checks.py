@@ -142,3 +142,11 @@ def check_stated_focal(rig: Rig, stated_focal_px: float | None) -> list[Finding]
         return []
     because = f"the file states {stated_focal_px:.0f} pixels, the rig's is {own:.0f}"
     return [Finding.of("zoom", zoom=zoom, because=because)]
+
+
+RIG_CHECKS = (check_camera, check_lamps, check_residual, check_coverage)
+
+
+def findings_from_rig(rig: Rig) -> list[Finding]:
+    """Return what a rig tells by itself."""
+    return [finding for check in RIG_CHECKS for finding in check(rig)]

@@ -12,11 +12,13 @@ import numpy as np
 
 from vntoolkit.arrays import Float32Array, Int64Array, LinearImage, Mask
 from vntoolkit.diagnosis.evidence import SUBJECT, brightest_channel, lengths_of
+from vntoolkit.diagnosis.finding import Finding
 from vntoolkit.errors import NoSubject
 from vntoolkit.io.footage.captures import Capture
 from vntoolkit.io.footage.decoding import EncodedFrame, linear_frame_from_encoded
 from vntoolkit.io.footage.frame_range import sampled
 from vntoolkit.io.footage.mattes import Mattes
+from vntoolkit.io.results.numbered_files import numbers_in_words
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.transfer import Transfer, linear_from_encoded
 
@@ -75,6 +77,13 @@ def survey_of(capture: Capture, mattes: Mattes, numbers: Sequence[int]) -> Surve
     usual = float(np.median(shares[shares > 0])) if shares.any() else 1.0
     shows = (shares > 0) & (shares >= _MUCH * usual)
     return Survey(numbers=seen, light=light, lit=lit, border=border, shows=shows)
+
+
+def finding_from_empty_frames(empty: Sequence[int], count: int) -> Finding:
+    """Return what is said of frames that show no subject, of so many."""
+    name = "black" if len(empty) < count else "black/all"
+    show = f"{numbers_in_words(empty)} {'shows' if len(empty) == 1 else 'show'}"
+    return Finding.of(name, frames_show=show, empty=len(empty), count=count)
 
 
 def _light(capture: Capture, mattes: Mattes, frame: EncodedFrame) -> tuple[Float32Array, Float32Array]:

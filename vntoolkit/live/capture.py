@@ -12,7 +12,6 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from datetime import datetime
-from functools import partial
 from pathlib import Path
 from typing import Protocol
 
@@ -24,7 +23,7 @@ from vntoolkit.io.atomic import require_writable_folder
 from vntoolkit.io.footage.captures import Capture
 from vntoolkit.io.footage.decoding import EncodedFrame
 from vntoolkit.io.footage.video import write_video
-from vntoolkit.live.frames import Begun, LiveProcessor, LiveResult
+from vntoolkit.live.frames import LiveProcessor, LiveResult
 from vntoolkit.options.pages import CameraOptions
 from vntoolkit.pipeline.threads import side_by_side
 
@@ -238,8 +237,10 @@ class LiveRun:
         taker = threading.Thread(target=self._take, name="live-source", daemon=True)
         taker.start()
         try:
-            begin = [partial(_of_timed, lane) for lane in self._processor.lanes]
-            for timed, begun in side_by_side(iter(self._next, None), begin):
+            arriving, lanes = iter(self._next, None), self._processor.lanes
+            for timed, begun in side_by_side(
+                arriving, lambda timed: self._processor.begin(timed.frame), lanes
+            ):
                 try:
                     result = self._processor.finish(begun.result())
                 except VntError as problem:  # mostly that nothing lit is in view: watch on
@@ -313,10 +314,6 @@ class LiveRun:
             timed = self._waiting.popleft()
             self._changed.notify_all()
             return timed
-
-
-def _of_timed(lane: Callable[[EncodedFrame], Begun], timed: TimedFrame) -> Begun:
-    return lane(timed.frame)
 
 
 _BUFFERED = 90  # frames; 3 seconds at 30 a second ride out a slow disk

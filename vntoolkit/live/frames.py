@@ -122,7 +122,7 @@ class LiveProcessor:
         self._darkest = reconstruction.inversion.darkest
         self._recent: deque[float] = deque(maxlen=_RECENT)
         overlap = self._processor.finds_shadows and self._key is None and loops_may_overlap()
-        self.lanes = (self._begin,) * (2 if overlap else 1)
+        self.lanes = 2 if overlap else 1  # frames that `begin` may work on at a time
         self._step = max(1, -(-max(self.camera.width, self.camera.height) // depth_px))
         height, width = (n // self._step * self._step for n in (self.camera.height, self.camera.width))
         self.depth_camera = self.camera.cropped(slice(0, height), slice(0, width)).scaled(1 / self._step)
@@ -146,9 +146,9 @@ class LiveProcessor:
 
     def process(self, frame: EncodedFrame) -> LiveResult:
         """Return normals and depth of one frame; raise as `FrameProcessor.process` does."""
-        return self.finish(self.lanes[0](frame))
+        return self.finish(self.begin(frame))
 
-    def _begin(self, frame: EncodedFrame) -> Begun:
+    def begin(self, frame: EncodedFrame) -> Begun:
         """The first half of `process`, in `lanes` for as many frames at a time: normals, and warnings."""
         cut = self.view.cut(frame)
         warnings = exposure_warnings(cut)

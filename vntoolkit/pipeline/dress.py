@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from vntoolkit.arrays import Faces, Float32Array, FloatArray, IntArray, Points, Vector3
+from vntoolkit.arrays import Float32Array, FloatArray, Points, Vector3
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera, ViewedFrom
 from vntoolkit.geometry.garment_fit import GarmentFit
@@ -124,34 +124,6 @@ class DressedFigure:
         if (len(self._kept) + 1) * rest.nbytes <= _KEPT_BYTES:
             self._kept[index] = rest
         return rest
-
-    def thinned(self, cell: float) -> "DressedFigure":
-        """Return the figure with one vertex in each cube of that side (metres), for small pictures."""
-        kept, faces = one_in_each_cube(self.template, cell)
-        template, weights = self.cloth.template, self.weights
-        thin = SkinWeights(joints=weights.joints[kept], weights=weights.weights[kept])
-        mesh = Mesh(
-            vertices=template.vertices[kept],
-            faces=faces,
-            colours=None if template.colours is None else template.colours[kept],
-        )
-        sleeved = tuple(
-            replace(one, sleeve=replace(one.sleeve, along=one.sleeve.along[kept]))
-            for one in self.fitting.sleeved
-        )
-        return replace(
-            self,
-            cloth=replace(
-                self.cloth, template=mesh, vertices=self.cloth.vertices[:, kept], uncertainty_px=None
-            ),
-            weights=thin,
-            fitting=replace(
-                self.fitting,
-                sleeved=sleeved,
-                regions=replace(self.fitting.regions, trunk=self.fitting.regions.trunk[kept]),
-            ),
-            captured=self.captured.thinned(kept, faces, thin),
-        )
 
     @cached_property
     def offset(self) -> Vector3:
@@ -299,15 +271,6 @@ def _cover(fitting: Fitting, skeleton: Skeleton) -> GarmentCover:
         bones_from_pose=np.linalg.inv(fitting.rest_from_first),
         bare=tuple(bare),
     )
-
-
-def one_in_each_cube(mesh: Mesh, cell: float) -> tuple[IntArray, Faces]:
-    """Return the first vertex in each cube of that side, and the triangles between different ones."""
-    cubes = np.floor(mesh.vertices / cell).astype(np.int64)
-    _, first, cluster = np.unique(cubes, axis=0, return_index=True, return_inverse=True)
-    faces = cluster.ravel()[mesh.faces]
-    a, b, c = faces.T
-    return first, faces[(a != b) & (b != c) & (a != c)].astype(np.int32)
 
 
 def floor_height(motion: Motion) -> float:

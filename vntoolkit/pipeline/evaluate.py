@@ -10,7 +10,7 @@ import numpy as np
 
 from vntoolkit.arrays import Faces, FloatArray, Mask, Points, Vector3
 from vntoolkit.checks import require_same_size, require_shape, require_some
-from vntoolkit.diagnosis.outline import warn_of_flipped_axes
+from vntoolkit.diagnosis.axes import warn_of_flipped_axes
 from vntoolkit.errors import BadInput
 from vntoolkit.evaluation import angular_error, track_error
 from vntoolkit.evaluation.cylinder import (

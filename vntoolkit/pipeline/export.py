@@ -19,11 +19,9 @@ from vntoolkit.geometry.mesh import Mesh, vertex_normals
 from vntoolkit.io import atomic
 from vntoolkit.io.conventions import graphics_from_camera
 from vntoolkit.io.maps_and_meshes.maps import write_normal_map
-from vntoolkit.io.maps_and_meshes.texture import SurfaceTexture
-from vntoolkit.io.results.folder import FolderKind, begin_run, read_lock, write_lock
+from vntoolkit.io.results.folder import FolderKind, begin_run, option_values, read_lock, write_lock
 from vntoolkit.options.export import INSPECTED, ExportedSurface, ExportFormat, ExportOptions, FileUnit
 from vntoolkit.pipeline.opened_result import OpenedResult, read_result
-from vntoolkit.pipeline.options import option_values
 from vntoolkit.pipeline.texture_files import texture_of_tracks, with_captured_colours
 
 if TYPE_CHECKING:
@@ -108,7 +106,7 @@ def _export_animation(
     if out.suffix.lower() not in ((".glb",) if suffix == ".glb" else (".usdc", ".usd")):
         raise BadInput(f"{out}: expected the name of a file that ends in {suffix}")
     lengths = file_lengths(options, result.length_unit)
-    numbers = numbers_with_mesh(result, track)
+    numbers = numbers_with(result, "mesh", track)
     rate, times_s = filmed.rate_of(numbers), filmed.times_of(numbers)
     atomic.require_writable_folder(out.parent)  # and remove what a killed run left there
     on_start(len(numbers), 0)
@@ -256,25 +254,15 @@ def file_lengths(options: ExportOptions, unit: LengthUnit | None) -> FileLengths
 # The formats with one file or folder per frame: meshes, arrays, normal maps, DiLiGenT objects.
 
 
-def numbers_with_mesh(result: OpenedResult, track: Tracks | None) -> tuple[int, ...]:
-    """Return the opened frames of the registered surface, or those with an own mesh; raise for none."""
+def numbers_with(result: OpenedResult, kind: str, track: Tracks | None = None) -> tuple[int, ...]:
+    """Return the opened frames that have a depth or a mesh, their own or the registered; raise for none."""
     if track is not None:
-        opened = set(result.numbers)
-        found = tuple(number for number in track.numbers if number in opened)
+        found = tuple(number for number in track.numbers if number in set(result.numbers))
     else:
-        found = tuple(number for number in result.numbers if result.folder.has(number, "mesh"))
+        found = tuple(number for number in result.numbers if result.folder.has(number, kind))
     if not found:
         root = result.folder.root
-        raise BadInput(f"{root}: holds no mesh of those frames; run `vntoolkit reconstruct --to mesh`")
-    return found
-
-
-def numbers_with_depth(result: OpenedResult) -> tuple[int, ...]:
-    """Return the opened frames that have a depth; raise for none."""
-    found = tuple(number for number in result.numbers if result.folder.has(number, "depth"))
-    if not found:
-        root = result.folder.root
-        raise BadInput(f"{root}: holds no depth of those frames; run `vntoolkit reconstruct --to depth`")
+        raise BadInput(f"{root}: holds no {kind} of those frames; run `vntoolkit reconstruct --to {kind}`")
     return found
 
 
@@ -291,12 +279,17 @@ def own_mesh(result: OpenedResult, number: int, options: ExportOptions, factor: 
 
 
 class FrameExport(ABC):
-    """Writes one frame at a time; `suffix` of its files, empty for a folder a frame."""
+    """Writes one frame at a time.
+
+    suffix: of its files, empty for a folder a frame. made_from: folders of the result; a file older than
+    theirs is written again. needs: the one of them without which a frame is left out.
+    """
 
     suffix = ""
+    made_from: tuple[str, ...] = ("normals",)
+    needs = ""
     has_lengths = True
     is_tracked: bool | None = None  # of meshes
-    offset: Vector3 = np.zeros(3)
 
     @property
     def facts(self) -> Mapping[str, Any]:
@@ -309,7 +302,7 @@ class FrameExport(ABC):
 
     def numbers(self) -> tuple[int, ...]:
         """Return the frames that there are."""
-        return self.result.numbers
+        return numbers_with(self.result, self.needs) if self.needs else self.result.numbers
 
     def place(self, out: Path, number: int) -> Path:
         """Return the file or folder of a frame."""
@@ -321,7 +314,7 @@ class FrameExport(ABC):
 
     def sources(self, number: int) -> list[Path]:
         """Return the files of the result that the frame is made from."""
-        return [self.result.folder.file("normals", number)]
+        return [self.result.folder.file(kind, number) for kind in self.made_from]
 
     def is_current(self, out: Path, number: int) -> bool:
         """Whether the frame was exported, and is not older than what it is made from."""
@@ -340,44 +333,26 @@ class FrameExport(ABC):
 
 
 class _Meshes(FrameExport):
-    """PLY, OBJ, or GLB a frame, of the registered surface or the frames' own."""
+    """PLY, OBJ, or GLB a frame, of the frames' own meshes."""
+
+    made_from, needs = ("mesh",), "mesh"
+    is_tracked = False
+    offset: Vector3 = np.zeros(3)
 
     def __init__(self, result: OpenedResult, track: Tracks | None, options: ExportOptions) -> None:
         super().__init__(result, track, options)
         self.suffix = f".{options.to.value}"
-        self.is_tracked = track is not None
-        self._texture: SurfaceTexture | None = None
-        self._has_material = False
-        if track is not None:
-            self.offset = offset_of(track, options, self.factor)
-            self._texture = texture_of_tracks(result.folder.root / "track")
-            self._template = with_captured_colours(track, self._texture)
 
-    @property
-    def facts(self) -> Mapping[str, Any]:
-        """By how much the files' meshes were moved, and hence where the camera is in them."""
-        if self.track is None or not self.options.centre:
-            return {}
-        return {"camera_position": graphics_from_camera(self.offset, self.options.up).round(9).tolist()}
+    def mesh(self, number: int) -> Mesh:
+        """Return the mesh of a frame."""
+        return own_mesh(self.result, number, self.options, self.factor)
 
-    def numbers(self) -> tuple[int, ...]:
-        return numbers_with_mesh(self.result, self.track)
-
-    def sources(self, number: int) -> list[Path]:
-        if self.track is not None:
-            return [self.result.folder.root / "track" / "vertices.npy"]
-        return [self.result.folder.file("mesh", number)]
+    def material(self, out: Path) -> str | None:
+        """Return the name of the material that all frames share, of OBJ files with a texture."""
+        return None
 
     def write(self, out: Path, number: int) -> None:
-        if self.track is None:
-            mesh = own_mesh(self.result, number, self.options, self.factor)
-        else:
-            vertices = self.track.mesh(number).vertices * self.factor + self.offset
-            normals = vertex_normals(vertices, self._template.faces)
-            mesh = replace(self._template, vertices=vertices, normals=normals)
-        path, material = self.place(out, number), None
-        if self._texture is not None and self.options.to is ExportFormat.OBJ:
-            material = self._material(out)
+        path, mesh = self.place(out, number), self.mesh(number)
         if self.options.to is ExportFormat.GLB:
             from vntoolkit.io.maps_and_meshes.glb import write_glb
 
@@ -387,12 +362,45 @@ class _Meshes(FrameExport):
         else:
             from vntoolkit.io.maps_and_meshes.meshes import write_mesh
 
-            write_mesh(path, mesh, up=self.options.up, material=material)
+            write_mesh(path, mesh, up=self.options.up, material=self.material(out))
 
-    def _material(self, out: Path) -> str:
-        """Write the material that all frames share, once; return its name."""
+
+class _TrackedMeshes(_Meshes):
+    """The same of the registered surface."""
+
+    is_tracked = True
+    _has_material = False
+
+    def __init__(self, result: OpenedResult, track: Tracks, options: ExportOptions) -> None:
+        super().__init__(result, track, options)
+        self._track, self.offset = track, offset_of(track, options, self.factor)
+        self._texture = texture_of_tracks(result.folder.root / "track")
+        self._template = with_captured_colours(track, self._texture)
+
+    @property
+    def facts(self) -> Mapping[str, Any]:
+        """By how much the files' meshes were moved, and hence where the camera is in them."""
+        if not self.options.centre:
+            return {}
+        return {"camera_position": graphics_from_camera(self.offset, self.options.up).round(9).tolist()}
+
+    def numbers(self) -> tuple[int, ...]:
+        return numbers_with(self.result, self.needs, self._track)
+
+    def sources(self, number: int) -> list[Path]:
+        return [self.result.folder.root / "track" / "vertices.npy"]
+
+    def mesh(self, number: int) -> Mesh:
+        vertices = self._track.mesh(number).vertices * self.factor + self.offset
+        return replace(
+            self._template, vertices=vertices, normals=vertex_normals(vertices, self._template.faces)
+        )
+
+    def material(self, out: Path) -> str | None:
+        if self._texture is None or self.options.to is not ExportFormat.OBJ:
+            return None
         path = out / _MATERIAL
-        if self._texture is not None and not self._has_material:
+        if not self._has_material:
             from vntoolkit.io.maps_and_meshes.meshes import write_material
 
             beside = self._texture.beside(path)
@@ -405,12 +413,7 @@ class _PointClouds(FrameExport):
     """PLY without faces, coloured where the footage is still at hand."""
 
     suffix = ".ply"
-
-    def numbers(self) -> tuple[int, ...]:
-        return numbers_with_depth(self.result)
-
-    def sources(self, number: int) -> list[Path]:
-        return [self.result.folder.file(kind, number) for kind in ("normals", "depth")]
+    made_from, needs = ("normals", "depth"), "depth"
 
     def write(self, out: Path, number: int) -> None:
         from vntoolkit.io.maps_and_meshes.meshes import write_point_cloud
@@ -443,9 +446,7 @@ class _Arrays(FrameExport):
     """Everything of a frame as named arrays."""
 
     suffix = ".npz"
-
-    def sources(self, number: int) -> list[Path]:
-        return [self.result.folder.file(kind, number) for kind in ("normals", "depth", "shadows", "mesh")]
+    made_from = ("normals", "depth", "shadows", "mesh")
 
     def write(self, out: Path, number: int) -> None:
         from vntoolkit.io.maps_and_meshes.arrays import write_npz
@@ -509,6 +510,8 @@ def frame_export(result: OpenedResult, track: Tracks | None, options: ExportOpti
         from vntoolkit.pipeline.export_inspection import inspection_of
 
         return inspection_of(result, track, options)
+    if options.to not in kinds and track is not None:
+        return _TrackedMeshes(result, track, options)
     return kinds.get(options.to, _Meshes)(result, track, options)
 
 

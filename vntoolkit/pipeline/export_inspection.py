@@ -17,7 +17,7 @@ from vntoolkit.io import atomic
 from vntoolkit.io.footage.image_writing import write_png
 from vntoolkit.io.maps_and_meshes.exr import write_exr
 from vntoolkit.options.export import ExportFormat, ExportOptions
-from vntoolkit.pipeline.export import FrameExport, numbers_with_depth
+from vntoolkit.pipeline.export import FrameExport
 from vntoolkit.pipeline.opened_result import OpenedResult
 from vntoolkit.pipeline.tracked_folder import Tracks
 
@@ -29,6 +29,7 @@ _FULL = 65535  # of a 16-bit picture, whose 0 says that nothing is measured
 class _Inspected(FrameExport):
     """Files of heights in millimetres; of a result without a scale, in widths of a pixel on the subject."""
 
+    made_from, needs = ("normals", "depth"), "depth"
     has_lengths = False  # of those that --units tells
 
     def __init__(self, result: OpenedResult, track: Tracks | None, options: ExportOptions) -> None:
@@ -54,12 +55,6 @@ class _Inspected(FrameExport):
                 "--scale METRES for a length of 1, or reconstruct with --distance"
             )
         return "px", float(self.result.camera.matrix[0, 0]) if unit is LengthUnit.FREE else 1.0
-
-    def numbers(self) -> tuple[int, ...]:
-        return numbers_with_depth(self.result)
-
-    def sources(self, number: int) -> list[Path]:
-        return [self.result.folder.file(kind, number) for kind in ("normals", "depth")]
 
     def write(self, out: Path, number: int) -> None:
         path, depth_map = self.place(out, number), self.result.depth(number)

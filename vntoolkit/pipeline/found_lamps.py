@@ -13,7 +13,6 @@ import numpy as np
 
 from vntoolkit.arrays import FloatArray, Matrix3
 from vntoolkit.errors import BadRig, VntError
-from vntoolkit.options.normals import ShadowMethod
 from vntoolkit.options.reconstruction import MaterialSearch, Product, ReconstructOptions
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline.frame_processor import FrameProcessor
@@ -25,13 +24,6 @@ _LOOKED_AT = 5  # frames at once, evenly spread
 _BETTER_DEG = 9.0  # deviation of a direction that helps: M's rows of a camera that mixes lamps are 4 to 9 off
 _NOTHING_DEG = 30.0  # lamps stand not much farther apart
 _LEAST_LIGHT = -0.05  # of the strongest channel of a lamp: light is not negative
-
-
-def looks_for_lamps(rig: Rig, options: ReconstructOptions) -> bool:
-    """Whether the lamps' colours are not known, and shadows are looked for that could tell them."""
-    unknown = rig.response.light_colours is None and rig.gel is None
-    is_plain = options.materials is MaterialSearch.CALIBRATED
-    return unknown and options.shadows is ShadowMethod.ROBUST and not is_plain
 
 
 def find_lamps(

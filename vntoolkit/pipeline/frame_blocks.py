@@ -20,7 +20,7 @@ from vntoolkit.photometry.frame import ALL_LIT
 from vntoolkit.pipeline.frame_processor import Carried, FrameProcessor, PreparedFrame
 from vntoolkit.pipeline.outputs import FrameResult, write_frame
 from vntoolkit.pipeline.request import Request
-from vntoolkit.pipeline.threads import WriteBehind, read_ahead, side_by_side
+from vntoolkit.pipeline.threads import read_ahead, stepped
 
 _WAITING = 1  # frames that lie between one thread and the next
 _SAMPLED = 4  # every fourth pixel of every fourth row tells a frame's expected error
@@ -69,31 +69,14 @@ class FrameBlockProcessor:
         frame's files are in place.
         """
         self._carried.reset()
-        frames = self._frames(block)
-        written: list[FrameEntry] = []
-
-        def write(done: _FrameAtWork) -> None:
-            if done.frame.number not in already_done:
-                written.append(self._written(done))
-
         waiting = _WAITING if self._threads > 1 else 0
         meanwhile = waiting if loops_may_overlap() else 0
-        with (
-            WriteBehind(write, _WAITING) as writer,
-            WriteBehind[_FrameAtWork](
-                lambda begun: writer.put(self._with_surface(begun)), meanwhile
-            ) as second,
-        ):
-            prepared = (
-                self._with_light(frame)
-                for frame in read_ahead(frames, waiting)
-                if not self._footage.mattes.missing([frame.number])
-            )
-            for _, begun in side_by_side(prepared, [self._with_normals] * self._lanes):
-                second.put(begun.result())
-                while written:
-                    yield written.pop(0)
-        yield from written
+        frames = read_ahead(self._frames(block), waiting)
+        there = (frame for frame in frames if not self._footage.mattes.missing([frame.number]))
+        found = stepped(map(self._with_light, there), self._with_normals, self._lanes)
+        whole = stepped(found, self._with_surface, waiting=meanwhile)
+        wanted = (work for work in whole if work.frame.number not in already_done)
+        yield from stepped(wanted, self._written, waiting=_WAITING)
 
     def _frames(self, block: range) -> Iterator[EncodedFrame]:
         capture, sameness = self._footage.capture, self._options.smoothing

@@ -12,7 +12,7 @@ import numpy as np
 
 from vntoolkit.arrays import FloatArray, Mask
 from vntoolkit.checks import require_some
-from vntoolkit.diagnosis.outline import likeliest_convention
+from vntoolkit.diagnosis.axes import likeliest_convention
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera, CameraModel
 from vntoolkit.geometry.maps import LengthUnit, NormalMap
@@ -32,7 +32,7 @@ from vntoolkit.io.maps_and_meshes.stored_normals import (
     stored_normals,
 )
 from vntoolkit.io.results import manifest as manifests
-from vntoolkit.io.results.folder import begin_run, write_lock
+from vntoolkit.io.results.folder import begin_run, option_values, write_lock
 from vntoolkit.io.results.frame_log import FrameEntry, FrameLog
 from vntoolkit.io.results.manifest import ReconstructionFolder
 from vntoolkit.io.results.reconstruction import (
@@ -50,7 +50,6 @@ from vntoolkit.options.normal_maps import IntegrateArguments
 from vntoolkit.options.reconstruction import Product
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.rig import Rig
-from vntoolkit.pipeline.options import option_values
 from vntoolkit.pipeline.outputs import FrameResult, write_frame
 
 logger = logging.getLogger(__name__)

@@ -1,11 +1,11 @@
 """A result folder opened for reading: its frames, and the maps and meshes of each frame."""
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -36,6 +36,7 @@ from vntoolkit.photometry.transfer import Transfer, TransferCurve, encoded_from_
 if TYPE_CHECKING:
     from vntoolkit.geometry.mesh import Mesh
     from vntoolkit.io.footage.captures import Capture
+    from vntoolkit.options.footage import SensorOptions
     from vntoolkit.pipeline.tracked_folder import Tracks
 
 logger = logging.getLogger(__name__)
@@ -201,14 +202,13 @@ class OpenedResult:
         """The footage; raise `BadInput` where it is not to be found, or is of another size or length."""
         from vntoolkit.io.footage.captures import CaptureOptions, open_capture
         from vntoolkit.options.footage import Gaps
-        from vntoolkit.pipeline.options import sensor_from_values
 
         source = self.source
         options = CaptureOptions(
             transfer=self.rig.transfer,
             background=None if "matte.key" in self.manifest.options else self.background,
             gaps=Gaps.SKIP,
-            sensor=sensor_from_values(self.manifest.options),
+            sensor=_sensor_of(self.manifest.options),
         )
         try:
             capture = open_capture(source, options)
@@ -266,3 +266,14 @@ def read_result(
         footage=footage,
         background=background,
     )
+
+
+def _sensor_of(options: Mapping[str, Any]) -> "SensorOptions":
+    """Return how the footage of a result was read, of its manifest's options; raise `BadInput`."""
+    from vntoolkit.options.footage import SensorOptions
+
+    own = {name: value for name, value in options.items() if name.startswith("sensor.")}
+    try:
+        return SensorOptions(**{name.removeprefix("sensor."): value for name, value in own.items()})
+    except (BadInput, TypeError) as problem:
+        raise BadInput(f"reconstruction.json: {problem}") from problem

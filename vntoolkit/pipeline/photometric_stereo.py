@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from vntoolkit.arrays import Array, Float32Array, FloatArray, Mask, Points
-from vntoolkit.diagnosis.outline import warn_of_flipped_axes
+from vntoolkit.diagnosis.axes import warn_of_flipped_axes
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.io.atomic import atomic_path

@@ -15,10 +15,11 @@ from vntoolkit.arrays import Mask
 from vntoolkit.diagnosis.finding import Finding, Level, judge
 from vntoolkit.errors import BadCapture, BadInput
 from vntoolkit.io.results.manifest import Known, MaterialEntry
+from vntoolkit.options.normals import ShadowMethod
+from vntoolkit.options.reconstruction import MaterialSearch
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline.frame_processor import FrameProcessor
-from vntoolkit.pipeline.recorded_findings import entries_of
 from vntoolkit.pipeline.request import Footage, Request, seeks_materials
 
 if TYPE_CHECKING:
@@ -73,7 +74,7 @@ def prepare(request: Request, footage: Footage, numbers: Sequence[int]) -> Known
 
 def _known(found: dict[str, object], steps: Sequence[Finding], examined: "Examination") -> Known:
     blur_px = round(examined.blur_px, _DIGITS_OF_BLUR)
-    findings = entries_of([*steps, *examined.findings])
+    findings = [finding.entry for finding in (*steps, *examined.findings)]
     return Known.model_validate(found | {"blur_px": blur_px, "findings": findings})
 
 
@@ -127,14 +128,13 @@ def _reference_frame(request: Request, footage: Footage, numbers: Sequence[int])
 
 def _with_found_lamps(request: Request, footage: Footage, numbers: Sequence[int]) -> tuple[Rig, str]:
     """Return the rig, with the lamps' colours where shadows tell them, and what they do not tell."""
-    if request.rig.response.light_colours is not None or request.is_of_gel:
-        return request.rig, ""
-    from vntoolkit.pipeline.found_lamps import find_lamps, looks_for_lamps
+    options, rig = request.effective_options, request.rig
+    is_plain = options.shadows is not ShadowMethod.ROBUST or options.materials is MaterialSearch.CALIBRATED
+    if rig.response.light_colours is not None or is_plain:
+        return rig, ""
+    from vntoolkit.pipeline.found_lamps import find_lamps
 
-    options = request.effective_options
-    if not looks_for_lamps(request.rig, options):
-        return request.rig, ""
-    return find_lamps(request.rig, options, footage, numbers)
+    return find_lamps(rig, options, footage, numbers)
 
 
 def _examined(

@@ -3,7 +3,8 @@
 import logging
 import os
 import time
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -17,7 +18,6 @@ from vntoolkit.io.atomic import remove_leftovers, require_apart, write_text
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.footage.mattes import require_mattes
 from vntoolkit.io.footage.sequence import text_of_names
-from vntoolkit.io.maps_and_meshes.maps import read_normal_map
 from vntoolkit.io.results import manifest as manifests
 from vntoolkit.io.results.folder import begin_run, require_same_request, write_lock
 from vntoolkit.io.results.frame_log import FrameEntry, FrameLog
@@ -32,14 +32,11 @@ from vntoolkit.io.results.reconstruction import (
 )
 from vntoolkit.io.rigs import entry_from_rig
 from vntoolkit.options.footage import Gaps
-from vntoolkit.pipeline.frame_blocks import Block, begin_blocks
-from vntoolkit.pipeline.prepare import prepare
-from vntoolkit.pipeline.processes import map_in_processes
-from vntoolkit.pipeline.recorded_findings import entries_of, recorded_warnings, without_repeats
 from vntoolkit.pipeline.request import Footage, Request
 
 if TYPE_CHECKING:
     from vntoolkit.diagnosis.backdrop import Backdrop
+    from vntoolkit.pipeline.frame_blocks import Block
 
 logger = logging.getLogger(__name__)
 Started = Callable[[int, int], None]
@@ -171,9 +168,11 @@ def _begun(request: Request, footage: Footage, frames: FrameRange, overwrite: bo
             say = logger.info if finding.level == "note" else logger.warning
             say("%s%s", "note: " if finding.level == "note" else "", finding.text)
     else:
+        from vntoolkit.pipeline.prepare import prepare
+
         with recorded_warnings() as warnings:
             known = prepare(request, footage, manifests.numbers_of_ranges(covered, count))
-        findings = without_repeats(known.findings, warnings)
+        findings = [*known.findings, *_not_among(known.findings, warnings)]
         known = known.model_copy(update={"frames": covered, "findings": findings})
     log, again = FrameLog(root), set[int]()
     if earlier is not None and known.shapes() != earlier.shapes():
@@ -239,7 +238,11 @@ def _frames_in_processes(run: _Run, jobs: int, scheduler: str | None) -> Generat
     items: list[Block] = [(block, run.on_disk.intersection(block)) for block in blocks]
     if not items:
         return
+    from vntoolkit.pipeline.frame_blocks import begin_blocks
+
     if scheduler is None:
+        from vntoolkit.pipeline.processes import map_in_processes
+
         begin = partial(begin_blocks, run.request, run.known)
         yield from map_in_processes(begin, items, min(jobs, len(items)))
         return
@@ -317,19 +320,18 @@ def _ended(
         error_deg=error_deg,
         found_lamps=run.known.light_colours is not None,
     )
-    told = {finding.text for finding in run.known.findings}
-    findings = [finding for finding in warnings if finding.text not in told]
+    findings = _not_among(run.known.findings, warnings)
     findings += [
         FindingEntry(check="skipped", level="warning", text=f"skipped: {entry.failure}", frame=entry.number)
         for entry in of_run
         if entry.failure and not entry.shows_nothing
     ]
     if empty := [entry.number for entry in of_run if entry.shows_nothing]:
-        from vntoolkit.diagnosis.empty_frames import finding_from_empty_frames
+        from vntoolkit.diagnosis.subject import finding_from_empty_frames
 
         own.append(finding_from_empty_frames(empty, len(of_run)))
     judge(own)
-    findings = [*entries_of(own), *findings]
+    findings = [*(finding.entry for finding in own), *findings]
     if summary.loss:
         findings.append(FindingEntry(check="cut-off", level="warning", text=summary.loss))
     ended = {"finished": manifests.now_utc(), "timings": timings, "error_deg": error_deg}
@@ -340,6 +342,7 @@ def _ended(
 def _backdrop(run: _Run, done: Sequence[FrameEntry]) -> "Backdrop | None":
     """Find a backdrop that counts as subject in the frame of the largest expected error; write a mask."""
     from vntoolkit.diagnosis.backdrop import MASK_NAME, backdrop_in
+    from vntoolkit.io.maps_and_meshes.maps import read_normal_map
 
     request, errors = run.request, [entry.error_deg or 0.0 for entry in done]
     masked = request.mask is not None or request.matting.key is not None
@@ -393,3 +396,35 @@ def manifest_of_request(request: Request, footage: Footage, frames: FrameRange) 
         versions=library_versions(),
         started=manifests.now_utc(),
     )
+
+
+# What a run warns of is kept beside being said: nothing goes to the terminal alone.
+
+
+@contextmanager
+def recorded_warnings() -> Iterator[list[FindingEntry]]:
+    """Yield the list of what the package warns of in the block, each once; its check is the file's name."""
+    recorder = _Recorder()
+    package = logging.getLogger("vntoolkit")
+    package.addHandler(recorder)
+    try:
+        yield recorder.found
+    finally:
+        package.removeHandler(recorder)
+
+
+class _Recorder(logging.Handler):
+    def __init__(self) -> None:
+        super().__init__(logging.WARNING)
+        self.found: list[FindingEntry] = []
+
+    def emit(self, record: logging.LogRecord) -> None:
+        text = " ".join(record.getMessage().split())
+        if text not in {finding.text for finding in self.found}:
+            check = record.name.rpartition(".")[2].replace("_", "-")
+            self.found.append(FindingEntry(check=check, level="warning", text=text))
+
+
+def _not_among(told: Sequence[FindingEntry], others: Sequence[FindingEntry]) -> list[FindingEntry]:
+    texts = {finding.text for finding in told}
+    return [finding for finding in others if finding.text not in texts]

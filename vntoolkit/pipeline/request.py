@@ -9,13 +9,13 @@ from typing import Any
 from vntoolkit.io.files import reading_limits
 from vntoolkit.io.footage.captures import Capture, CaptureOptions, open_capture
 from vntoolkit.io.footage.mattes import Mattes, open_mattes
+from vntoolkit.io.results.folder import option_values
 from vntoolkit.io.results.manifest import Known, ReconstructionFolder
 from vntoolkit.options.footage import Gaps, MatteOptions, ReadingLimits, SensorOptions
 from vntoolkit.options.normals import ShadowMethod
 from vntoolkit.options.reconstruction import MaterialSearch, Product, ReconstructOptions
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import Transfer
-from vntoolkit.pipeline.options import SENSOR_PREFIX, option_values
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -116,7 +116,7 @@ class Request:
         values = option_values(self.effective_options, without=("to", "on_error"))
         # by value: options from the command line are of classes of their own
         for given, default, prefix in (
-            (self.sensor, SensorOptions(), SENSOR_PREFIX),
+            (self.sensor, SensorOptions(), "sensor."),
             (self.matting, MatteOptions(), "matte."),
         ):
             own = option_values(given, prefix)

@@ -8,7 +8,6 @@ import numpy as np
 
 from vntoolkit.arrays import Mask
 from vntoolkit.errors import BadCapture, BadInput
-from vntoolkit.materials.split_frame import block_size
 from vntoolkit.normals.inversion import relative_albedo_from_frame
 from vntoolkit.options.reconstruction import MaterialSearch, ReconstructOptions
 from vntoolkit.photometry.frame import LinearFrame
@@ -59,7 +58,7 @@ def _warn_of_other_material(
     lamps_in_words: str,
 ) -> None:
     lit = mask & ~frame.clipped
-    step = block_size(lit, JUDGED)
+    step = max(1, round(float(np.sqrt(lit.sum() / JUDGED))))
     rgb, lit = frame.rgb[::step, ::step], lit[::step, ::step]
     v, u = np.nonzero(lit)
     scaled = scaled_normals_from_rgb(rgb[lit], response, float(step) * np.stack([u, v], axis=-1))

@@ -31,7 +31,7 @@ from vntoolkit.io.maps_and_meshes.exr import ExrCompression
 from vntoolkit.io.maps_and_meshes.label_images import read_labels, write_labels
 from vntoolkit.io.maps_and_meshes.maps import read_normal_map, write_depth_map, write_flow, write_normal_map
 from vntoolkit.io.maps_and_meshes.masks import write_mask
-from vntoolkit.io.results.folder import FolderKind, begin_run, write_lock
+from vntoolkit.io.results.folder import FolderKind, begin_run, option_values, write_lock
 from vntoolkit.io.results.numbered_files import numbers_on_disk, remove_numbered
 from vntoolkit.io.results.seams import write_seams
 from vntoolkit.io.results.sequences import SEQUENCE_FILES, MeshSequenceWriter
@@ -40,7 +40,6 @@ from vntoolkit.options.simulation import Nuisances, RenderOptions, SceneOptions
 from vntoolkit.photometry.frame import lit_from_labels
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import TransferCurve
-from vntoolkit.pipeline.options import option_values
 from vntoolkit.pipeline.processes import map_in_processes
 from vntoolkit.simulation.head.rig import seam_lines_px
 from vntoolkit.simulation.image_formation import exposure_of_scene, light_colours_of, true_response

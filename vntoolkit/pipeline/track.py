@@ -10,15 +10,25 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vntoolkit.arrays import Array, MaterialLabels, Normals, Points, Points2, VisibilityLabels
-from vntoolkit.diagnosis.finding import judge
-from vntoolkit.diagnosis.track_checks import findings_from_tracks
+from vntoolkit.arrays import (
+    Array,
+    FloatArray,
+    Mask,
+    MaterialLabels,
+    Normals,
+    Points,
+    Points2,
+    VisibilityLabels,
+)
+from vntoolkit.diagnosis.finding import Finding, judge
 from vntoolkit.errors import BadInput, BadMesh, VntError
 from vntoolkit.geometry.maps import DepthMap, NormalMap
 from vntoolkit.geometry.mesh import MeshSequence
 from vntoolkit.io.atomic import atomic_path
+from vntoolkit.io.footage.frame_range import sampled
 from vntoolkit.io.maps_and_meshes.arrays import read_npz
-from vntoolkit.io.results.folder import begin_run, read_lock, require_same_request, write_lock
+from vntoolkit.io.results.folder import begin_run, option_values, read_lock, require_same_request, write_lock
+from vntoolkit.io.results.frame_log import FrameEntry
 from vntoolkit.io.results.seams import read_seams
 from vntoolkit.io.results.sequences import MeshSequenceWriter, read_mesh_sequence
 from vntoolkit.io.rigs import entry_from_camera
@@ -26,7 +36,6 @@ from vntoolkit.options.tracking import TrackArguments, Tracker, TrackingOptions
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.pipeline.opened_result import OpenedResult, read_result
-from vntoolkit.pipeline.options import option_values
 from vntoolkit.pipeline.tracked_folder import MEMORY_NAME, TRACKS, TRACKS_VERSION, remove_backwards
 from vntoolkit.tracking.paint import Paint, paint_of_frame
 from vntoolkit.tracking.running_template import RunningTemplate
@@ -85,8 +94,6 @@ def track(
     there = [n for n in numbers if has_maps(source, n)]
     template = asked.template
     if template is None:  # seams were drawn on a frame that is known before
-        from vntoolkit.pipeline.best_frame import best_frame
-
         template = there[0] if seams or source.rig.gel else best_frame(source, there)
     if template not in there:
         raise BadInput(
@@ -384,3 +391,80 @@ def read_running_template(folder: Path, like: Running) -> tuple[int, Running]:
     except (BadInput, TypeError):
         return 0, like
     return (frame_count, type(like)(**found)) if whole else (0, like)
+
+
+# The frame that a template is best made from: most of the surface, lit well, sharp.
+
+_COMPARED = 12  # frames that are read: those that show most, evenly spread
+_FINE_PX, _COARSE_PX = 1, 4  # over which normals change
+
+
+def best_frame(result: OpenedResult, numbers: Sequence[int]) -> int:
+    """Return the frame of these that shows most that is lit and sharp; of equals, the first.
+
+    Frames are equal that differ by no more than most do from the next.
+    """
+    lit = np.array([_lit_share(result.entries.get(number)) for number in numbers])
+    places = sampled(np.flatnonzero(lit >= np.median(lit)).tolist(), _COMPARED)
+    worth = np.array([lit[k] * sharpness_of(result.normals(numbers[k])) for k in places])
+    alike = float(np.median(np.abs(np.diff(worth)))) if len(worth) > 1 else 0.0
+    return numbers[places[int(np.argmax(worth >= worth.max() - alike))]]
+
+
+def _lit_share(entry: FrameEntry | None) -> float:
+    """Return the share of the pixels that have a normal, which all lamps reach and no light clips."""
+    if entry is None:  # a log that is gone
+        return 1.0
+    return entry.valid_share * (1.0 - entry.shadowed_share) * (1.0 - entry.clipped_share)
+
+
+def sharpness_of(normal_map: NormalMap) -> float:
+    """Return how much of the change of normals over pixels is left over single ones; 0 to about 1.
+
+    Changes at two places are multiplied, so that noise, which they do not share, cancels.
+    """
+    coarse = _change(normal_map.normals_in_camera, normal_map.mask, _COARSE_PX)
+    fine = _change(normal_map.normals_in_camera, normal_map.mask, _FINE_PX)
+    return float(np.clip(fine / coarse, 0.0, 1.0)) if coarse > 0 else 1.0
+
+
+def _change(normals: FloatArray, mask: Mask, step: int) -> float:
+    """Return the mean product of changes a pixel over `step` pixels, at neighbouring places."""
+    total = count = 0.0
+    for axis in (0, 1):
+        places = [np.roll(normals, -k * step, axis) for k in range(4)]
+        seen = np.logical_and.reduce([np.roll(mask, -k * step, axis) for k in range(4)])
+        seen[tuple(slice(-3 * step, None) if a == axis else slice(None) for a in (0, 1))] = False
+        products = ((places[1] - places[0]) * (places[3] - places[2])).sum(axis=2)
+        total, count = total + float(products[seen].sum()), count + float(seen.sum())
+    return total / max(count, 1.0) / step**2
+
+
+# Where tracking lost the surface.
+
+_JUMP = 10.0  # times the expected error of the frame before; a surface that fades is lost more slowly
+_LEAST_ERROR_PX = 0.2
+_LEAST_VISIBLE = 0.5  # of a tracked surface's vertices; of a head that turns away more stay in view
+
+
+def findings_from_tracks(
+    visible: Sequence[float], error_px: Sequence[float], numbers: Sequence[int]
+) -> list[Finding]:
+    """Find where tracking lost the surface.
+
+    visible: share of the vertices that are reported visible, for every frame in the order of time. error_px:
+    the median of their expected errors. numbers: of these frames.
+    """
+    shares = np.asarray(visible, dtype=np.float64)
+    if not len(shares) or shares.min() >= _LEAST_VISIBLE:
+        return []
+    worst, low = int(np.argmin(shares)), int(np.count_nonzero(shares < _LEAST_VISIBLE))
+    errors = np.asarray(error_px, dtype=np.float64)
+    seen = shares >= _LEAST_VISIBLE
+    rise = np.abs(np.diff(np.log(np.maximum(errors, _LEAST_ERROR_PX)))) * (seen[1:] != seen[:-1])
+    rise[np.minimum(errors[:-1], errors[1:]) == 0] = 0.0  # beside the template
+    lost = {"low": low, "count": len(shares), "worst": numbers[worst], "share": shares[worst]}
+    if not rise.max(initial=0.0) > np.log(_JUMP):
+        return [Finding.of("lost", **lost)]
+    where = int(np.argmax(rise))
+    return [Finding.of("jump", **lost, first=numbers[where], second=numbers[where + 1])]

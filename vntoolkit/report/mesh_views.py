@@ -1,8 +1,6 @@
 """Pictures of meshes without a graphics card: OpenCV's rasteriser, one light at the camera's side."""
 
-from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,6 +14,7 @@ from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.motion import bone_segments, pose_of_frame
 from vntoolkit.io.footage.video import write_video
 from vntoolkit.pipeline.dress import DressedFigure, floor_height
+from vntoolkit.pipeline.threads import stepped
 from vntoolkit.report.pictures import write_tiles
 from vntoolkit.skinning.findings import STRETCHED, is_outside
 
@@ -131,7 +130,7 @@ def capsules(starts: Points, ends: Points, radius: float, colour: tuple[float, f
 
 
 _RED = (0.85, 0.06, 0.05)
-_COARSE_CELLS = 160  # of a figure's height: about two pixels of the turntable
+_COARSE_VERTICES = 10_000  # of a garment: about two pixels of the turntable apart
 _BONE_COLOUR = (0.18, 0.30, 0.62)
 _CLOTH_COLOUR = (0.80, 0.45, 0.32)
 _FLOOR_COLOUR = (0.80, 0.82, 0.84)
@@ -166,13 +165,14 @@ class _Stage:
 
     def __init__(self, dressed: DressedFigure, *, coarse: bool = False) -> None:
         """coarse: with fewer triangles, for pictures that are seen for a moment."""
-        if coarse:
-            dressed = dressed.thinned(dressed.motion.skeleton.height / _COARSE_CELLS)
+        from vntoolkit.report.result_scene import thinned_template
+
         self._dressed, self._meter, self._floor = dressed, dressed.meter(), floor_height(dressed.motion)
         template = dressed.template
         self._colours = np.full((len(template.vertices), 3), _CLOTH_COLOUR, np.float32)
         if template.colours is not None:
             self._colours = np.array(template.colours)
+        self._drawn = thinned_template(template, _COARSE_VERTICES if coarse else len(template.vertices))
 
     def meshes(self, frame: int) -> list[Mesh]:
         """Return the meshes of one frame of the clock."""
@@ -181,7 +181,8 @@ class _Stage:
         colours = np.array(self._colours)
         stretched = self._meter.stretch(vertices) > STRETCHED
         colours[np.unique(dressed.template.faces[stretched])] = _RED
-        cloth = Mesh(vertices=vertices, faces=dressed.template.faces, colours=colours)
+        kept, faces = self._drawn.kept, self._drawn.mesh.faces
+        cloth = Mesh(vertices=vertices[kept], faces=faces, colours=colours[kept])
         outside = is_outside(self._meter.off_axis(vertices, pose).max(axis=1))
         out = [
             joint
@@ -249,14 +250,7 @@ def contact_sheet(
 
 def _drawn(jobs: Iterable[tuple[Sequence[Mesh], View]]) -> Iterator[ByteArray]:
     """Yield the picture of each job; one is drawn beside the next."""
-    with ThreadPoolExecutor(_DRAWN_AT_ONCE) as pool:
-        pending: deque[Future[ByteArray]] = deque()
-        for meshes, view in jobs:
-            pending.append(pool.submit(picture_of, meshes, view))
-            if len(pending) > _DRAWN_AT_ONCE:
-                yield pending.popleft().result()
-        while pending:
-            yield pending.popleft().result()
+    return stepped(jobs, lambda job: picture_of(*job), threads=_DRAWN_AT_ONCE)
 
 
 def _write_sheet(

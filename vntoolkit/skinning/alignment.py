@@ -221,10 +221,6 @@ class CapturedMotion:
         placed = self._apply(vertices, self._first_from_now(vertices))
         return drawn_together(placed, self._edges, self._longest)
 
-    def thinned(self, kept: IntArray, faces: Faces, weights: SkinWeights) -> "CapturedMotion":
-        """Return the same of the vertices kept, (k,), with their faces and weights."""
-        return CapturedMotion(self._first[kept], weights, self._parts, self._rest_from_first, faces)
-
     def first_at_rest(self, vertices: Points) -> Points:
         """Return the vertices of the frame of attachment in its pose: nothing has moved yet."""
         return self._apply(vertices, np.broadcast_to(np.eye(4), self._rest_from_first.shape))

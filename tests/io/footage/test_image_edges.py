@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from vntoolkit.diagnosis.outline import curl_share
+from vntoolkit.diagnosis.axes import curl_share
 from vntoolkit.errors import BadCapture
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.io import files

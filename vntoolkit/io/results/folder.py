@@ -12,7 +12,8 @@ import os
 import socket
 import sys
 from collections.abc import Callable, Collection, Container, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
+from enum import Enum
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +35,11 @@ def _text_of_record(record: Any) -> str:
     return json.dumps(record, indent=2) + "\n"
 
 
+def option_values(options: Any, prefix: str = "", without: tuple[str, ...] = ()) -> dict[str, Any]:
+    """Return the JSON values of an option dataclass and of those within, but for some, by dotted names."""
+    return flat({name: value for name, value in asdict(options).items() if name not in without}, prefix)
+
+
 def flat(record: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     """Return a JSON object's values by dotted names."""
     values: dict[str, Any] = {}
@@ -41,7 +47,7 @@ def flat(record: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
         if isinstance(value, Mapping):
             values |= flat(value, f"{prefix}{name}.")
         else:
-            values[prefix + name] = value
+            values[prefix + name] = value.value if isinstance(value, Enum) else value
     return values
 
 
