@@ -30,6 +30,7 @@ from vntoolkit.simulation.head.scenes import (
     hair_share,
     skin_reflectance,
 )
+from vntoolkit.simulation.shapes import smooth_step
 
 _Vector = tuple[float, float, float]
 
@@ -647,11 +648,11 @@ def _jaw_share(head: Shape, points: Points) -> FloatArray:
     level = y - lip_line(x)
     almond = np.sqrt(np.clip(1.0 - (x / MOUTH_HALF_WIDTH) ** 2, 0.0, 1.0))
     reach = 0.5 + 0.9 * np.clip(np.abs(x) - 1.6, 0.0, None)
-    away = np.maximum(almond, _smooth(np.abs(level) / reach))
+    away = np.maximum(almond, smooth_step(np.abs(level) / reach))
     share = 0.5 - 0.5 * np.where(head.side == 0, 0.0, head.side) * away
-    share = np.where(z > 1.5, share, 0.5 - 0.5 * np.sign(level) * _smooth(np.abs(level) / reach))
-    behind = _smooth((z + 0.5) / 4.0)  # the jaw's angle hardly moves
-    throat = _smooth((y + 13.2 + 0.25 * np.clip(z, 0.0, 8.0)) / 2.2)
+    share = np.where(z > 1.5, share, 0.5 - 0.5 * np.sign(level) * smooth_step(np.abs(level) / reach))
+    behind = smooth_step((z + 0.5) / 4.0)  # the jaw's angle hardly moves
+    throat = smooth_step((y + 13.2 + 0.25 * np.clip(z, 0.0, 8.0)) / 2.2)
     share = np.clip(share, 0.0, 1.0) * behind * throat
     share = np.where((head.part == rig.LOWER_TEETH) | (head.part == rig.TONGUE), 1.0, share)
     return np.where((head.part == rig.UPPER_TEETH) | (head.part == rig.EYES), 0.0, share)
@@ -674,9 +675,9 @@ def _lid_angles(head: Shape, points: Points, sign: float) -> FloatArray:
         np.isin(owner, slit.upper), True, np.where(np.isin(owner, slit.lower), False, elevation > seam)
     )
     almond = np.clip(1.0 - (o[:, 0] / _LID_HALF_WIDTH) ** 2, 0.0, 1.0) ** 0.65
-    fade = 1.0 - _smooth((distance[rows] - 1.45 * EYE_RADIUS / 1.22) / 1.3)
-    upper = 1.0 - _smooth((elevation - seam) / 75.0)
-    lower = 1.0 - _smooth((seam - elevation) / 50.0)
+    fade = 1.0 - smooth_step((distance[rows] - 1.45 * EYE_RADIUS / 1.22) / 1.3)
+    upper = 1.0 - smooth_step((elevation - seam) / 75.0)
+    lower = 1.0 - smooth_step((seam - elevation) / 50.0)
     angle = np.where(above, -_UPPER_LID_DEG * np.clip(upper, 0, 1), _LOWER_LID_DEG * np.clip(lower, 0, 1))
     opening = np.zeros(len(points))
     opening[rows] = np.radians(angle) * almond * fade
@@ -770,7 +771,7 @@ def vertex_colours(head: Shape, makeup: Makeup) -> Colours:
         half = np.clip(1.0 - (x / (MOUTH_HALF_WIDTH + 0.1)) ** 2, 0.0, 1.0) ** 0.6
         level = y - lip_line(x)
         reach = np.where(level > 0, 0.80, 1.05) * half + 1e-6
-        lips = _smooth((1.12 - np.abs(level) / reach) / 0.24) * (z > 6.5) * (half > 0)
+        lips = smooth_step((1.12 - np.abs(level) / reach) / 0.24) * (z > 6.5) * (half > 0)
         warm = np.exp(-0.5 * (((np.abs(x) - 4.3) / 1.5) ** 2 + ((y + 3.3) / 1.5) ** 2))
         warm += 0.8 * np.exp(-0.5 * ((x / 0.9) ** 2 + ((y + 3.5) / 0.9) ** 2))
         skin *= 1.0 - 0.22 * (warm * (z > 4.0))[:, None] * np.array([0.1, 1.0, 0.9])
@@ -785,16 +786,11 @@ def vertex_colours(head: Shape, makeup: Makeup) -> Colours:
 
 
 def _eye_colours(off_axis: FloatArray, in_front: FloatArray) -> Colours:
-    iris = _smooth((_IRIS_RADIUS + 0.03 - off_axis) / 0.06) * in_front
+    iris = smooth_step((_IRIS_RADIUS + 0.03 - off_axis) / 0.06) * in_front
     rim = np.exp(-0.5 * ((off_axis - _IRIS_RADIUS + 0.05) / 0.06) ** 2) * in_front
-    pupil = _smooth((_PUPIL_RADIUS + 0.03 - off_axis) / 0.06) * in_front
+    pupil = smooth_step((_PUPIL_RADIUS + 0.03 - off_axis) / 0.06) * in_front
     colours = _SCLERA + iris[:, None] * (_IRIS - _SCLERA)
     return np.asarray(colours * (1.0 - 0.6 * rim[:, None]) * (1.0 - 0.95 * pupil[:, None]), dtype=np.float32)
-
-
-def _smooth(x: FloatArray) -> FloatArray:
-    x = np.clip(x, 0.0, 1.0)
-    return np.asarray(x * x * (3.0 - 2.0 * x))
 
 
 # The legs, centimetres: open at waist and ankles.

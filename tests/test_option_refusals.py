@@ -38,19 +38,16 @@ VARIATION = {
 }
 REFUSALS = [
     ("options.calibration:IntrinsicsOptions", {"radial_terms": 3}, "0 to 2 radial"),
-    ("options.calibration:BoardOptions", {"largest_error_px": 0.0}, "a positive number, got 0"),
     ("options.calibration:BoardOptions", {"degree": 4}, "degree of the variation: expected a value"),
     ("options.calibration:ResponseFitOptions", {"inlier_share": INFINITE}, "outlier sigmas and inlier share"),
     ("options.calibration:ResponseFitOptions", {"shadow_share": 1.0}, "shadow share: expected 0 to 1, got 1"),
     ("options.calibration:ResponseFitOptions", {"outlier_sigmas": 0.0}, "outlier sigmas and inlier share"),
     ("options.head:HeadOptions", {"threshold": 2.0}, "silhouette threshold: expected 0 to 1, got 2"),
-    ("options.calibration:SphereOptions", {"rim_share": 0.7}, "rim share"),
     ("options.calibration:PressOptions", {**PRESS, "pixel_mm": 0.0}, "positive ball radius and pixel size"),
     ("options.calibration:PressOptions", {**PRESS, "contact_share": 0.0}, "contact share from 0 to 1, got 0"),
     ("options.calibration:PressOptions", {**PRESS, "samples": 3}, "at least 4 samples a press, got 3"),
     ("options.calibration:PressOptions", {**PRESS, "outlier_sigmas": NAN}, "a positive number, got nan"),
     ("options.calibration:PressOptions", {**PRESS, "ball_radius_mm": INFINITE}, "positive ball radius"),
-    ("options.calibration:PressOptions", {**PRESS, "flat_share": 11.0}, "flat share from 0 to 10, got 11"),
     ("options.evaluation:AlignmentOptions", {"samples": 2}, "at least 3 samples, got 2"),
     ("geometry.board_layout:BoardLayout", {"columns": 10}, "odd numbers of squares from 3 on, got 10 × 11"),
     ("geometry.board_layout:BoardLayout", {"square_mm": 0.0}, "squares of a positive size in mm, got 0"),
@@ -122,7 +119,6 @@ REFUSALS = [
     ("options.dressing:ClockOptions", {"start": -1.0}, "start: expected seconds from 0 on, got -1"),
     ("options.dressing:ClockOptions", {"stop": float("nan")}, "stop: expected seconds from 0 on, got nan"),
     ("options.dressing:WeightOptions", {"neighbours": 0}, "neighbours: expected at least 1, got 0"),
-    ("options.tracking:CheckerboardOptions", {"square_px": 0}, "square of the checkerboard in pixels"),
     ("options.tracking:TrackingOptions", {"data_share": 0.0}, "data share α: expected a value"),
     ("options.tracking:TrackingOptions", {"smoothing_length": INFINITE}, "smoothing length in edges"),
 ]  # fmt: skip

@@ -1,14 +1,11 @@
 """Compiled loops, their cache and their threads; memory and workers of this process."""
 
-import atexit
 import contextlib
 import ctypes
 import functools
-import importlib
 import logging
 import os
 import stat
-import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
@@ -92,6 +89,10 @@ def one_opencv_thread() -> Iterator[None]:
 
 # Kernels, whose machine code is kept on disk where that can be, and made again where it cannot.
 
+# Flags of `fastmath` that change no digit. With others, a parallel loop rounds otherwise in the process that
+# compiles it than in those that find it in the cache: they run code that was optimised once more.
+_EXACT = {"nnan", "ninf", "nsz"}
+
 
 def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """`numba.njit` with options, without Python's lock, and what goes wrong with its cache stops no kernel.
@@ -100,9 +101,13 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     Where neither the package's own folder nor the user's may be written to (another user, no home), machine
     code is kept in a private temporary folder. A cache that is full or damaged is passed over, and repaired
     where it can be.
+
+    fastmath: what it allows beside `_EXACT` is not done.
     """
     numba = _numba()
     is_kept = options.pop("cache", False)
+    fast = options.get("fastmath", False)
+    options["fastmath"] = _EXACT & fast if isinstance(fast, set) else _EXACT if fast else False
 
     def compiled(function: Callable[..., Any]) -> Any:
         kernel = numba.njit(nogil=True, **options)(function)
@@ -152,30 +157,21 @@ def _private_folder() -> str:
 
 
 class _ForgivingCache:
-    """numba's cache of one kernel, every failure of which means that there is nothing in it.
-
-    A kernel of this package that is not in it is compiled by another process, and read: the process that
-    compiles a parallel loop runs its first machine code, all others a copy that was optimised once more and
-    rounds otherwise. The first run of an installation would differ from the second in the last bit.
-    """
+    """numba's cache of one kernel, every failure of which means that there is nothing in it."""
 
     def __init__(self, cache: Any, function: Callable[..., Any]) -> None:
-        self._cache, self._function = cache, function
+        self._cache, self._module = cache, function.__module__
 
-    def load_overload(self, signature: Any, context: Any) -> Any:
-        found = self._read(signature, context)
-        if found is None and _compiler.compiles(self._function, signature):
-            found = self._read(signature, context)
-            _compiler.is_off = found is None  # the cache keeps nothing
-        return found
-
-    def _read(self, *asked: Any) -> Any:
+    def load_overload(self, *asked: Any) -> Any:
+        found = None
         try:
-            return self._cache.load_overload(*asked)
+            found = self._cache.load_overload(*asked)
         except Exception:  # truncated, or not to be read
             with contextlib.suppress(Exception):
                 self._cache.flush()
-            return None
+        if found is None and self._module.startswith("vntoolkit."):
+            _tell(self._module.split(".")[1])
+        return found
 
     def save_overload(self, *made: Any) -> None:
         with contextlib.suppress(Exception):  # a full disk, or a folder that was locked since
@@ -185,75 +181,7 @@ class _ForgivingCache:
         return getattr(self._cache, name)
 
 
-class _Compiler:
-    """A process that compiles kernels of this package into the cache; it ends with the one that asks."""
-
-    def __init__(self) -> None:
-        self._process: subprocess.Popen[bytes] | None = None
-        self._pipe: Any = None
-        self._asked_by = 0  # process id: a fork has the pipe, but not the right to use it
-        self.is_off = False  # in the process that compiles, and where asking is of no use
-        self._told: set[str] = set()
-
-    def compiles(self, function: Callable[..., Any], signature: Any) -> bool:
-        """True where the other process has compiled a kernel; numba lets one thread ask at a time."""
-        name = function.__qualname__
-        if self.is_off or not function.__module__.startswith("vntoolkit.") or not name.isidentifier():
-            return False
-        self._tell(function.__module__.split(".")[1])
-        try:
-            if self._asked_by != os.getpid():
-                self._start()
-            self._pipe.send((function.__module__, name, signature))
-            return bool(self._pipe.recv())
-        except Exception:  # it could not be started or asked
-            self.is_off = True
-            return False
-
-    def _tell(self, part: str) -> None:
-        """Say what is waited for, a line for each part of the package: some are met in some footage only."""
-        if part not in self._told:
-            self._told.add(part)
-            _LOGGER.info("compiling the loops of %s, once per installation ...", part)
-
-    def _start(self) -> None:
-        from multiprocessing import Pipe
-
-        self._pipe, theirs = Pipe()
-        ask = f"from vntoolkit.native import serve_compiler; serve_compiler({theirs.fileno()})"
-        path = {"PYTHONPATH": os.pathsep.join(filter(None, sys.path)), "PYTHONSAFEPATH": "1"}
-        self._process = subprocess.Popen(
-            [sys.executable, "-c", ask],
-            env=os.environ | path,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            pass_fds=(theirs.fileno(),),
-        )
-        theirs.close()
-        self._asked_by = os.getpid()
-        atexit.register(self._end)
-
-    def _end(self) -> None:
-        if self._process is not None and self._asked_by == os.getpid():
-            self._pipe.close()
-            self._process.wait()
-
-
-_compiler = _Compiler()
-
-
-def serve_compiler(pipe: int) -> None:
-    """Compile the kernels that another process names, and tell it of each, until that has ended."""
-    from multiprocessing.connection import Connection
-
-    _compiler.is_off = True
-    asked = Connection(pipe)
-    with contextlib.suppress(EOFError):
-        while True:
-            module, name, signature = asked.recv()
-            try:
-                getattr(importlib.import_module(module), name).compile(signature)
-                asked.send(True)
-            except Exception:
-                asked.send(False)
+@functools.cache
+def _tell(part: str) -> None:
+    """Say what is waited for, a line for each part of the package: some are met in some footage only."""
+    _LOGGER.info("compiling the loops of %s, once per installation ...", part)

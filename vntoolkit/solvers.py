@@ -197,12 +197,12 @@ def _cycle_kernel(finest: Grid, places: Places, flat: Row, spans: Places, right:
 def apply_kernel(edges: Grid, x: Grid, out: Grid) -> None:
     """Fill out with L x."""
     h, w = x.shape
-    pull = np.empty(w, np.float32)
     for v in range(h):
         row, to = x[v], out[v]
         for u in range(w):
             to[u] = np.float32(_GROUND) * row[u]
-        _add_differences(edges[0, v, : w - 1], row[: w - 1], row[1:], to[: w - 1], to[1:], pull)
+        _add_difference(edges[0, v, : w - 1], row[: w - 1], row[1:], to[: w - 1])
+        _add_difference(edges[0, v, : w - 1], row[1:], row[: w - 1], to[1:])
         if v + 1 < h:
             _add_difference(edges[1, v], row, x[v + 1], to)
             if len(edges) == 4:
@@ -219,17 +219,6 @@ def apply_kernel(edges: Grid, x: Grid, out: Grid) -> None:
 def _add_difference(weight: Row, here: Row, there: Row, out: Row) -> None:
     for u in range(len(weight)):
         out[u] += weight[u] * (here[u] - there[u])
-
-
-@njit(cache=True, fastmath=True, inline="always", error_model="numpy")
-def _add_differences(weight: Row, first: Row, second: Row, out: Row, other: Row, pull: Row) -> None:
-    """Along a row, where both ends of an edge are in it."""
-    for u in range(len(weight)):
-        pull[u] = weight[u] * (first[u] - second[u])
-    for u in range(len(weight)):
-        out[u] += pull[u]
-    for u in range(len(weight)):
-        other[u] -= pull[u]
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from vntoolkit.calibration import sphere
 from vntoolkit.calibration.ball_lamps import fit_lamps_to_ball
 from vntoolkit.calibration.ball_outline import outline_from_mask as circle_of
 from vntoolkit.calibration.sphere import fit_response_to_switched_sphere, sphere_normals
 from vntoolkit.geometry.camera import Camera
-from vntoolkit.options.calibration import SphereOptions
 from vntoolkit.photometry.frame import LinearFrame
 
 WIDTH, HEIGHT, RADIUS = 320, 240, 90.0
@@ -118,9 +118,10 @@ def test_a_dark_frame_tells_the_room() -> None:
     np.testing.assert_allclose(found.room, ROOM, atol=1e-6)
 
 
-def test_a_ball_that_shows_no_dark_side_does_not_tell_the_room(caplog) -> None:
+def test_a_ball_that_shows_no_dark_side_does_not_tell_the_room(caplog, monkeypatch) -> None:
+    monkeypatch.setattr(sphere, "_RIM_SHARE", 0.4)
     frames, mask = photographs((0.05, 0.05, 0.05))
-    result = fit_response_to_switched_sphere(frames, CAMERA, mask, SphereOptions(rim_share=0.4))
+    result = fit_response_to_switched_sphere(frames, CAMERA, mask)
     assert result.lit is not None
     assert not result.lit.is_room_known
     assert "film some frames with all lamps off" in caplog.text

@@ -102,7 +102,7 @@ def test_set_up_and_the_readme_name_the_system_libraries_that_the_package_needs(
 
 
 def test_nothing_is_fetched_that_is_not_pinned():
-    """pip checks hashes, or installs this package by the locked backend; the image is named by digest."""
+    """pip checks hashes, or installs this package by the locked backend; image and actions have digests."""
     pinned = r"(?m)^([a-z0-9][\w.-]*)==\S+(?: ;[^\\\n]*)? \\\n\s+(--hash)=sha256:"
     locked = dict(re.findall(pinned, LOCK.read_text("utf-8")))
     backend = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["build-system"]["requires"]
@@ -116,3 +116,7 @@ def test_nothing_is_fetched_that_is_not_pinned():
     images = re.findall(r"(?m)^FROM (\S+)", (ROOT / "Dockerfile").read_text("utf-8"))
     assert images
     assert all(re.fullmatch(r"\S+@sha256:[0-9a-f]{64}", image) for image in images)
+    workflows = "".join(path.read_text("utf-8") for path in (ROOT / ".github/workflows").glob("*.y*ml"))
+    actions = re.findall(r"uses: (\S+)", workflows)
+    assert actions
+    assert all(re.fullmatch(r"\S+@[0-9a-f]{40}", action) for action in actions)

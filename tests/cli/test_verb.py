@@ -1,7 +1,6 @@
 """A verb is made of its argument class: the fields are its flags, the docstrings beneath them its help."""
 
 import dataclasses
-from functools import partial
 from typing import ClassVar
 
 import pytest
@@ -46,15 +45,9 @@ def draw(asked: DrawArguments) -> DrawArguments:
     return asked
 
 
-@partial(command, draw)
-def draw_command(asked: DrawArguments) -> DrawArguments:
-    """Return what was asked."""
-    return asked
-
-
 def test_the_flags_make_the_same_as_the_call(capsys: pytest.CaptureFixture[str]) -> None:
     app = App(result_action="return_value")
-    app.default(draw_command)
+    app.default(command(draw))
     typed = app(["a", "b", "--out", "o", "--size-mm", "3", "--gaps", "skip", "--mask", "m.png"])
     assert typed == draw(("a", "b"), out="o", size_mm=3, gaps="skip", mask="m.png")
     assert typed.part(Size) == Size(size_mm=3.0)

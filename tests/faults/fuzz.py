@@ -22,7 +22,9 @@ from typing import Any
 
 sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parents[2])]
 
-HANG_S = 10.0
+from programs import Patience  # noqa: E402
+
+HANG_S = 10.0  # of processor time
 _ADDRESS_SPACE = 6 << 30
 _START_S = 120.0  # a process imports OpenCV, OpenEXR, PyAV and numba before its first case
 
@@ -52,8 +54,8 @@ class Report:
 class _Worker:
     process: Any
     pipe: Connection
+    patience: Patience
     index: int | None = None
-    since: float = 0.0
     is_ready: bool = False
 
 
@@ -96,16 +98,16 @@ def _serve(worker: _Worker, has_word: bool, waiting: list[int], report: Report) 
             report.add(outcome)
         worker.is_ready = True
         worker.index = waiting.pop() if waiting else None
-        worker.since = time.monotonic()
+        worker.patience = Patience(worker.process.pid, HANG_S)
         worker.pipe.send(worker.index)
         if worker.index is None:
             worker.process.join()
-    elif time.monotonic() - worker.since > (HANG_S if worker.is_ready else _START_S):
+    elif worker.patience.is_over():
         worker.process.kill()
         worker.process.join()
         _require_ready(worker)
         report.counts["hung", False] += 1
-        report.faults.append(f"case {worker.index}: hung for more than {HANG_S:g} s")
+        report.faults.append(f"case {worker.index}: {worker.patience.text}")
         worker.index = None
 
 
@@ -122,10 +124,12 @@ def _start(seed: int, specimens: list[tuple[str, Path]], folder: Path) -> _Worke
     process = context.Process(target=_work, args=(theirs, seed, specimens, scratch), daemon=True)
     process.start()
     theirs.close()
-    return _Worker(process=process, pipe=ours, since=time.monotonic())
+    return _Worker(process=process, pipe=ours, patience=Patience(process.pid, _START_S))
 
 
 def _work(pipe: Connection, seed: int, specimens: list[tuple[str, Path]], scratch: Path) -> None:
+    os.setsid()  # so that its time is told from that of others
+
     from cases import run_case
     from specimens import KINDS
 

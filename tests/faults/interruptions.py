@@ -4,19 +4,16 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import signal
-import subprocess
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from programs import Hang, Patience, end_session, start
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)
-_LONGEST_S = 240.0
 _TIMES = ("started", "finished", "timings")  # of the manifest: they tell of the run, not of the result
 
 
@@ -39,26 +36,18 @@ class Ended:
 
 def run_until(verb: Verb, out: Path, stop_at: int | None, sent: signal.Signals, delay_s: float) -> Ended:
     """Run the verb; once `stop_at` units are done (None: never), wait `delay_s` and send the signal."""
-    # a shell's background jobs ignore SIGINT, and so would their children
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-    environment = {**os.environ, "OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
-    process = subprocess.Popen(
-        [sys.executable, "-m", "vntoolkit", *verb.arguments(out)],
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        env=environment,
-    )
-    by = None
-    started = time.monotonic()
-    while process.poll() is None and time.monotonic() - started < _LONGEST_S:
+    process, by = start(verb.arguments(out)), None
+    patience = Patience(process.pid)
+    while process.poll() is None:
         if stop_at is not None and by is None and verb.done(out) >= stop_at:
             time.sleep(delay_s)
             process.send_signal(sent)
             by = sent
         time.sleep(0.002)
-    assert process.poll() is not None, f"{verb.arguments(out)[0]} did not end within {_LONGEST_S:g} s"
-    error = process.communicate()[1].decode()
-    return Ended(status=process.returncode, by=by, error=error)
+        if patience.is_over():
+            end_session(process)
+            raise Hang(f"{verb.arguments(out)[0]} {patience.text}")
+    return Ended(status=process.returncode, by=by, error=process.communicate()[1])
 
 
 def interrupt_often(

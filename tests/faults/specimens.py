@@ -139,7 +139,7 @@ def _write_captures(folder: Path, rng: np.random.Generator) -> list[Path]:
     write_png(folder / "16.png", sixteen)
     write_png(folder / "grey.png", eight[..., 0])
     write_png(folder / "alpha.png", np.dstack([eight, np.full((H, W), 255, np.uint8)]))
-    for name, compression in (("plain", None), ("deflate", "zlib")):
+    for name, compression in (("plain", None), ("deflate", "zlib"), ("lzma", "lzma")):
         tifffile.imwrite(folder / f"{name}.tif", eight, photometric="rgb", compression=compression)
     assert cv2.imwrite(str(folder / "lzw.tif"), eight, [cv2.IMWRITE_TIFF_COMPRESSION, 5])
     tifffile.imwrite(folder / "16.tif", sixteen, photometric="rgb")

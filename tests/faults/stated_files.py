@@ -21,10 +21,10 @@ from tests.faults.stated_images import (
     animation,
     bitmap,
     exif_curve,
-    half_tiff,
     icc,
     jpeg_pair,
     png_chunks,
+    rare_tiff,
     still_of_another_kind,
     stored_colours,
     tiff_curve,
@@ -75,6 +75,10 @@ def _aspect(suffix: str) -> Callable[[Path, Rng], Change]:
             film(path, values, codec="libx264rgb", sample_aspect_ratio=Fraction(down, across))
         elif suffix == "tif":
             tifffile.imwrite(path, values, photometric="rgb", resolution=(across, down))
+        elif suffix == "webp" or (suffix == "jpg" and rng.random() < 0.5):  # in EXIF data
+            exif, how = Image.Exif(), {"quality": 100} if suffix == "jpg" else {"lossless": True}
+            exif[282], exif[283] = float(across), float(down)
+            Image.fromarray(values).save(path, exif=exif, **how)
         else:
             Image.fromarray(values).save(
                 path, dpi=(across, down), **({"quality": 100} if suffix == "jpg" else {})
@@ -191,11 +195,16 @@ def _folder_of_series(folder: Path, rng: Rng) -> Change:
     take.mkdir()
     count = int(rng.integers(2, 5))
     names, refused = [f"f_{k:03d}" for k in range(count + 2)], ""
-    way = int(rng.integers(5))
-    if way == 0:
+    way = int(rng.integers(6))
+    if way == 5:  # a clock, or a camera's counter
+        clock = [f"12-{s // 60:02d}-{s % 60:02d}" for s in range(57, 57 + 2 * count)]
+        counter = ["100_9998", "100_9999", "101_0001", "101_0002"]
+        names = chosen(rng, (clock, counter))
+    elif way == 0:
         names += [f"g_{k:03d}" for k in range(count)]
     elif way == 1:
-        names = [f"take{n}_{k:03d}" for n in (1, 2) for k in range(count + n)]
+        first = chosen(rng, ((0, 0), (7, 3), (3, 40)))  # together, or where each was cut to
+        names = [f"take{n}_{k:03d}" for n in (1, 2) for k in range(first[n - 1], first[n - 1] + count + n)]
     elif way == 2:
         names += ["mask"]
     elif way == 3:
@@ -230,6 +239,7 @@ def _curves_that_differ(folder: Path, rng: Rng) -> Change:
 CHANGES: dict[str, Callable[[Path, Rng], Change]] = {
     **{f"ICC profile, {suffix}": icc(suffix) for suffix in ("png", "jpg", "tif", "webp")},
     **{f"pixel aspect, {suffix}": _aspect(suffix) for suffix in ("png", "jpg", "tif", "bmp", "exr", "mkv")},
+    "pixel aspect, webp": _aspect("webp"),
     **{f"animation, {suffix}": animation(suffix) for suffix in ("png", "webp")},
     **{f"EXIF curve, {suffix}": exif_curve(suffix) for suffix in ("png", "jpg", "tif", "webp")},
     "PNG chunks": png_chunks, "turned pictures": turned, "BMP header": bitmap,
@@ -240,7 +250,7 @@ CHANGES: dict[str, Callable[[Path, Rng], Change]] = {
     "video edit list": video_edit_list, "video curves": video_curves, "floats": _floats,
     "video curve": video_curve, "video range": video_range, "EXR chromaticities": _exr_chromaticities,
     "EXR windows": _exr_windows, "EXR views and parts": _exr_views, "EXR luminance": _exr_luminance,
-    "half-float and planar TIFF": half_tiff,
+    "rare TIFF": rare_tiff,
     "stored colours": stored_colours, "DNG black and margins": dng_levels,
     "DNG cells": dng_cells, "DNG filters": dng_filters, "DNG colours": dng_colours,
     "DNG white": dng_white, "matte in alpha": _matte_in_alpha, "series in a folder": _folder_of_series,

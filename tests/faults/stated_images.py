@@ -162,8 +162,10 @@ def turned(folder: Path, rng: Rng) -> Change:
 
 
 def bitmap(folder: Path, rng: Rng) -> Change:
-    """BMP of version 4 or 5, whose header states a colour space, gammas or a profile."""
+    """BMP of version 4 or 5, whose header states a colour space, gammas or a profile; or bits of its own."""
     (values, code), path = random_code(rng), folder / "a.bmp"
+    if rng.random() < 0.4:
+        return _masked_bitmap(path, rng)
     kind, curve = chosen(
         rng, {b"BGRs": "srgb", b" niW": "srgb", bytes(4): "gamma:2.2", b"DEBM": "gamma:1.8"}.items()
     )
@@ -178,6 +180,23 @@ def bitmap(folder: Path, rng: Rng) -> Change:
     size = 14 + length + len(rows) + len(profile)
     path.write_bytes(b"BM" + struct.pack("<IHHI", size, 0, 0, 14 + length) + header + rows + profile)
     return Change(path=path, rgb=CURVES[curve](code), tolerance=0.004)
+
+
+def _masked_bitmap(path: Path, rng: Rng) -> Change:
+    """Colours of 5, 6 or 10 bits, or in another order: Pillow or OpenCV read few of them."""
+    bits, packing, masks = chosen(
+        rng,
+        (
+            (16, 0, ()), (16, 3, (0xF800, 0x7E0, 0x1F)), (32, 3, (0xFF, 0xFF00, 0xFF0000)),
+            (32, 3, (0xFF000000, 0xFF0000, 0xFF00)), (32, 3, (0x3FF00000, 0xFFC00, 0x3FF)),
+        ),
+    )  # fmt: skip
+    rows = rng.integers(1, 256, H * W * bits // 8, dtype=np.uint8).tobytes()
+    header = struct.pack("<IiiHHIIiiII", 40, W, H, 1, bits, packing, len(rows), 2835, 2835, 0, 0)
+    header += struct.pack(f"<{len(masks)}I", *masks)
+    start = struct.pack("<IHHI", 14 + len(header) + len(rows), 0, 0, 14 + len(header))
+    path.write_bytes(b"BM" + start + header + rows)
+    return Change(path=path, refused="stores colours by masks of its own")
 
 
 def tiff_curve(folder: Path, rng: Rng) -> Change:
@@ -209,21 +228,22 @@ def tiff_samples(folder: Path, rng: Rng) -> Change:
     return Change(path=path, rgb=code, refused=refused)
 
 
-def half_tiff(folder: Path, rng: Rng) -> Change:
-    """Half floats, or channels that are stored apart; turned or flipped."""
+def rare_tiff(folder: Path, rng: Rng) -> Change:
+    """Half floats, channels that are stored apart, or what OpenCV cannot unpack; turned or flipped."""
     upright = rng.random((H, W, 3)).astype(np.float16)
-    value = int(chosen(rng, (1, 2, 3, 4)))
+    value, way = int(chosen(rng, (1, 2, 3, 4))), chosen(rng, ("half", "half planar", "planar", "lzma"))
+    if not way.startswith("half"):
+        upright = np.uint16(65535 * upright.astype(np.float32))
     stored = {1: upright, 2: upright[:, ::-1], 3: upright[::-1, ::-1], 4: upright[::-1]}[value]
-    if rng.random() < 0.5:
-        stored = np.uint16(65535 * stored.astype(np.float32))
-        upright = np.uint16(65535 * upright.astype(np.float32)) / 65535
-    planar = bool(stored.dtype == np.uint16 or rng.random() < 0.3)
+    planar = way.endswith("planar")
     tifffile.imwrite(
         folder / "a.tif", np.moveaxis(stored, 2, 0).copy() if planar else np.ascontiguousarray(stored),
         photometric="rgb", planarconfig="separate" if planar else "contig",
-        compression=chosen(rng, (None, "zlib")), extratags=[(274, "H", 1, value, True)],
+        compression="lzma" if way == "lzma" else chosen(rng, (None, "zlib")),
+        extratags=[(274, "H", 1, value, True)],
     )  # fmt: skip
-    return Change(path=folder / "a.tif", rgb=upright, tolerance=1e-6)
+    full = 65535 if upright.dtype == np.uint16 else 1
+    return Change(path=folder / "a.tif", rgb=upright / full, tolerance=1e-6)
 
 
 def jpeg_pair(folder: Path, rng: Rng) -> Change:

@@ -24,9 +24,9 @@ from pathlib import Path
 
 import numpy as np
 
-_CHECKOUT = Path(__file__).parents[2]
-sys.path[:0] = [str(Path(__file__).parent), str(_CHECKOUT)]
+sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parents[2])]
 
+from programs import CHECKOUT, Hang, end_of, start  # noqa: E402
 from specimens import write_specimens  # noqa: E402
 
 from tests.calibration.turning_egg import CAMERA as EGG_CAMERA  # noqa: E402
@@ -34,7 +34,6 @@ from tests.calibration.turning_egg import render_egg, turning_poses, write_frame
 from tests.result_files import write_mesh_sequence  # noqa: E402
 from tests.skinning.conftest import rippling, sleeved_tube  # noqa: E402
 
-_LONGEST_S = 300.0
 _NOBODY = 65534
 _GIANT = 3 << 30  # bytes
 _VARIABLES = {
@@ -83,7 +82,7 @@ def prepare(folder: Path) -> Path:
 
 def _run_well(*arguments: str | Path) -> None:
     command = [sys.executable, "-m", "vntoolkit", *map(str, arguments)]
-    subprocess.run(command, check=True, stdout=subprocess.DEVNULL, cwd=_CHECKOUT)
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL, cwd=CHECKOUT)
 
 
 def verbs(good: Path, out: Path) -> list[list[str]]:
@@ -91,7 +90,7 @@ def verbs(good: Path, out: Path) -> list[list[str]]:
     rig, source, result = good / "sphere.json", good / "sphere/capture.mkv", good / "result"
     normals, mesh = good / "maps/n.exr", next((result / "mesh").glob("*.ply"))
     reconstruct = ["reconstruct", source, "--rig", rig, "--out", out, "--shadows", "none"]
-    walk = _CHECKOUT / "data" / "walk.bvh"
+    walk = CHECKOUT / "data" / "walk.bvh"
     corners = ["--corners", "4", "4", "90", "4", "4", "66", "90", "66", "--size-mm", "24", "18"]
     head = ["--focal-px", f"{EGG_CAMERA.matrix[0, 0]:g}"]
     commands: list[list[str | Path]] = [
@@ -245,7 +244,7 @@ def run_case(case: Case) -> str:
             with contextlib.suppress(subprocess.TimeoutExpired):
                 struck.wait(case.after_s)
             struck.send_signal(case.strike)
-            struck.communicate(timeout=_LONGEST_S)
+            end_of(struck)
         faults = _outcome(case, [_start(case) for _ in range(case.times)])
         if case.strike is not None and faults == [] and case.ended != [0]:
             faults.append(f"the run after {case.strike.name} ended with {case.ended}")
@@ -255,35 +254,20 @@ def run_case(case: Case) -> str:
             if ".part" in path.name or path.name.startswith(".probe")
         ]
         return "; ".join(faults + [f"left {name}" for name in left])
+    except Hang as hang:
+        return str(hang)
     finally:
         case.cleanup()
 
 
 def _start(case: Case) -> subprocess.Popen[str]:
-    environment = {**os.environ, "OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1", **case.environment}
-
-    def prepare() -> None:
-        signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs ignore it
-        if case.prepare is not None:
-            case.prepare()
-
-    return subprocess.Popen(
-        [sys.executable, "-m", "vntoolkit", *case.arguments],
-        env=environment, preexec_fn=prepare,  # noqa: PLW1509 - no thread runs here
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE, text=True, errors="replace", cwd=_CHECKOUT,
-    )  # fmt: skip
+    return start(case.arguments, environment=case.environment, prepare=case.prepare)
 
 
 def _outcome(case: Case, running: list[subprocess.Popen[str]]) -> list[str]:
     faults = []
     for process in running:
-        try:
-            said, error = process.communicate(timeout=_LONGEST_S)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.communicate()
-            return [f"did not end within {_LONGEST_S:g} s"]
+        said, error = end_of(process)
         case.ended.append(process.returncode)
         ours = [line for line in error.splitlines() if line.startswith("vntoolkit: ")]
         if case.arguments[0] == "doctor":
@@ -313,7 +297,7 @@ def _besieged(case: Case) -> str:
             if connection.recv(100).startswith((b"HTTP/1.0 200", b"HTTP/1.1 200")):
                 faults.append(f"answered {request[:200]!r}")
     server.send_signal(signal.SIGINT)
-    error = server.communicate(timeout=_LONGEST_S)[1]
+    error = end_of(server)[1]
     if "Traceback" in error or server.returncode not in (0, 130):
         faults.append(f"status {server.returncode}: {error[-600:]!r}")
     return "; ".join(faults)

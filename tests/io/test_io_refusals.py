@@ -1,12 +1,14 @@
 """Each reader and writer refuses what it cannot serve by one line: the file, what was expected, what came."""
 
 import struct
+import warnings
 import zlib
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+import tifffile
 
 from vntoolkit.errors import BadCapture, BadInput, BadMesh, CannotWrite
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
@@ -116,6 +118,22 @@ def test_exr_files_of_other_channels_units_and_conventions(tmp_path):
         read_normal_map(path)
 
 
+def test_normals_that_are_infinite_where_there_is_no_subject_are_passed_over_in_silence(tmp_path):
+    path = tmp_path / "a.exr"
+    planes = {"R": PLANE * 0, "G": PLANE * 0, "B": np.ones_like(PLANE), "A": np.ones_like(PLANE)}
+    planes["R"][0, 0], planes["A"][0, 0] = np.inf, 0
+    write_exr(path, planes)
+    np.savez(tmp_path / "a.npz", normals=np.full((4, 5, 3), 1e300))
+    planes["R"][0, 1] = 1e38
+    write_exr(path, planes)
+    with warnings.catch_warnings(action="error"):
+        found = read_normal_map(path)
+        with pytest.raises(BadInput, match="got none of length"):
+            read_normal_map(tmp_path / "a.npz")
+    assert not found.mask[0, :2].any()
+    assert (found.normals_in_camera[0, :2] == 0).all()
+
+
 def test_exr_headers_that_cannot_be(tmp_path):
     path = tmp_path / "a.exr"
     write_exr(path, {"Z": PLANE})
@@ -141,6 +159,14 @@ def test_images_of_other_samples_and_damage(tmp_path):
     assert cv2.imwrite(str(path), np.zeros((4, 5), np.int32))
     with pytest.raises(BadCapture, match="expected 8-bit, 16-bit or float samples, got int32"):
         read_image(path)
+    for packing in ("zlib", "lzma"):
+        values = np.random.default_rng(1).random((9, 9, 3)).astype(np.float16)
+        tifffile.imwrite(path, values, photometric="rgb", compression=packing)
+        content = bytearray(path.read_bytes())
+        content[-200:-100] = bytes(100)
+        path.write_bytes(content)
+        with pytest.raises(BadCapture, match="its samples are damaged, or compressed in a way"):
+            read_image(path)
     write_png(tmp_path / "a.png", np.zeros((4, 5, 3), np.uint8))
     content = bytearray((tmp_path / "a.png").read_bytes())
     content[45] ^= 1

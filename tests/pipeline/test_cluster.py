@@ -1,5 +1,6 @@
 """Many machines: the same bytes from Dask's workers, a worker that dies in mid-run, a run that goes on."""
 
+import logging
 import os
 import signal
 import socket
@@ -139,6 +140,15 @@ def test_what_happens_to_a_cluster_is_one_line_or_nothing(tmp_path, small_cluste
     assert done == 64 if not line else 0 < done < 64
     assert reconstruct(job).resumed == done
     assert len(FrameLog(tmp_path / "out").done()) == 64
+
+
+def test_what_dask_logs_of_a_lost_cluster_is_not_shown_beside_our_line() -> None:
+    """Their tracebacks come when a client closes, from loggers with outputs of their own."""
+    pytest.importorskip("distributed")
+    with pytest.raises(BadInput), connected("no-such-way://here:1", 0):
+        pass
+    for name in ("distributed.client", "distributed.utils", "tornado.application", "asyncio"):
+        assert not logging.getLogger(name).isEnabledFor(logging.ERROR), name
 
 
 @pytest.mark.slow

@@ -7,6 +7,7 @@ import re
 import shutil
 import struct
 import zlib
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -239,7 +240,15 @@ def test_a_long_capture_is_thinned_evenly_and_keeps_its_pace(dome_result: DomeRe
     data = data_of(out)
     assert data["numbers"] == [0, 2, 5]
     assert len(data["frames"]) == 3
-    assert data["rate"] == pytest.approx(30 * 3 / 5)
+    assert data["times_s"] == pytest.approx([0, 2 / 30, 5 / 30])
+
+
+def test_frames_are_shown_at_the_times_they_were_filmed(dome_result: DomeResult, tmp_path: Path) -> None:
+    result = read_result(dome_result.folder)
+    filmed = result.manifest.input.model_copy(update={"times_s": [0.0, 0.1, 0.5, 0.6, 0.7, 2.0]})
+    uneven = replace(result, manifest=result.manifest.model_copy(update={"input": filmed}))
+    write_scene(tmp_path / "scene.html", uneven, ScenePageOptions(vertices=100, most_frames=3))
+    assert data_of(tmp_path / "scene.html")["times_s"] == pytest.approx([0, 0.5, 2.0])
 
 
 def test_thinning_keeps_true_vertices_and_their_sides(dome_result: DomeResult) -> None:

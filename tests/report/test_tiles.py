@@ -57,6 +57,16 @@ def test_errors_are_told_apart_and_the_scale_shows_their_colours(tmp_path: Path)
     assert (bar == map_[10, 0]).all(axis=1).any()
 
 
+@pytest.mark.parametrize("shape", [(5, 7), (300, 1), (1, 60)])
+def test_a_scale_has_room_beneath_the_smallest_picture(shape: tuple[int, int]) -> None:
+    scale = ErrorScale(most=40.0)
+    picture = tiled([{"a": plain(*shape, 250, 0, 1)}], scale=scale, legend={"none": "#123456"})
+    assert where(picture, (250, 0, 1))[2:] == shape
+    ends = picture_of_errors(np.array([[0.0, 40.0]]), np.ones((1, 2), dtype=bool), scale)[0]
+    first, last = (where(picture, tuple(end.tolist()))[1] for end in ends)
+    assert 60 < first < last - 60
+
+
 def test_refusals() -> None:
     with pytest.raises(BadInput, match="a name for every row"):
         tiled([{"a": plain(4, 4, 0, 0, 0)}], ["one", "two"])

@@ -13,7 +13,6 @@ from vntoolkit.simulation.garment.sweater import (
     body_from_pose,
     build_sweater,
     loop_subdivision,
-    raise_along_normals,
 )
 
 COARSE_M = 0.03
@@ -146,12 +145,6 @@ def test_loop_subdivision_reproduces_planes_and_smooths_a_rim_within_itself(rng)
     assert smooth.shape[0] == count + len(edges_from_faces(garment.faces))
     noise = rng.standard_normal(count)
     assert np.ptp(smooth @ noise) <= np.ptp(noise)
-
-
-def test_relief_lifts_a_plane_along_its_normal() -> None:
-    vertices = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]])
-    raise_along_normals(vertices, np.array([[0, 1, 2], [1, 3, 2]], dtype=np.int32), np.arange(4.0))
-    np.testing.assert_allclose(vertices[:, 2], np.arange(4.0))
 
 
 @pytest.mark.slow

@@ -40,6 +40,9 @@ def test_small_bvh_reads_as_written(tmp_path: Path) -> None:
 # The same two frames, as others write them.
 GOOD_BVH = {
     "wrapped lines": BVH.replace("90 0 0\n", "90\n0\n0\n"),
+    "one line": " ".join(BVH.split()),
+    "one line, longer than is read at once": " " * 4077 + " ".join(BVH.split()),  # it ends within a word
+    "small letters": BVH.replace("MOTION", "Motion").replace("End Site", "end site"),
     "a blank before the colon": BVH.replace("Frames:", "Frames :").replace("Time:", "time :"),
     "decimal commas": BVH.replace("0.01", "0,01").replace("1 2 3", "1,0 2 3,0"),
     "UTF-16": BVH.encode("utf-16"),

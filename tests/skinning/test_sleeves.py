@@ -270,6 +270,8 @@ def test_an_unknown_arm_is_asked_for_and_named(sheet: MeshSequence, tmp_path: Pa
 def test_an_arm_is_called_outside_by_the_figure_that_is_printed() -> None:
     for off, said in (
         (1.04, "inside its sleeve (elbow at most 1.0"),
+        (np.nextafter(1.05, 0), "inside its sleeve (elbow at most 1.0"),
+        (1.05, "outside its sleeve (elbow at most 1.1"),
         (1.06, "outside its sleeve (elbow at most 1.1"),
     ):
         none, off_axis = np.zeros(1), np.array([[[off, 0.0, 0.0]]])

@@ -96,11 +96,11 @@ def fit_response_to_board(
             "the exposure until no channel of it reaches full scale"
         )
     poses = [board_pose(s, layout, camera) for s in seen]
-    kept = [(s, p) for s, p in zip(seen, poses, strict=True) if p and p.error_px <= options.largest_error_px]
+    kept = [(s, p) for s, p in zip(seen, poses, strict=True) if p and p.error_px <= _LARGEST_FIT_ERROR_PX]
     if len(kept) < _FEWEST_POSES:
         raise BadCalibration(
             f"calibrate board: {len(kept)} of {len(sightings)} frames that show the board give a pose to "
-            f"{options.largest_error_px:g} px; at least {_FEWEST_POSES} are needed; does the camera belong "
+            f"{_LARGEST_FIT_ERROR_PX:g} px; at least {_FEWEST_POSES} are needed; does the camera belong "
             "to this footage, is the board flat?"
         )
     rgb = np.array([s.rgb for s, _ in kept])

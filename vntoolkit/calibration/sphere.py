@@ -15,7 +15,7 @@ from vntoolkit.checks import require_mask, require_shape, require_some
 from vntoolkit.errors import BadCalibration
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import NormalMap
-from vntoolkit.options.calibration import SphereOptions
+from vntoolkit.options.calibration import ResponseFitOptions
 from vntoolkit.photometry.fit_quality import angles_deg
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import with_near_lamps
@@ -23,6 +23,7 @@ from vntoolkit.photometry.response import with_near_lamps
 logger = logging.getLogger(__name__)
 _BRIGHTEST = 99.9  # percentile; a lamp's mirror image covers some thousandths of a ball
 _FAR_OFF = 0.05  # of the radius
+_RIM_SHARE = 0.02  # of the radius is left out: there a pixel's error turns the normal by tens of degrees
 _WHOLE_ARC = 0.6  # of the circle: then its place is known to a percent
 
 
@@ -45,15 +46,15 @@ def fit_response_to_sphere(
     frame: LinearFrame,
     camera: Camera,
     mask: Mask | None = None,
-    options: SphereOptions | None = None,
+    options: ResponseFitOptions | None = None,
     rng: np.random.Generator | None = None,
 ) -> SphereCalibration:
     """Fit M to one image of a ball; outline from `mask` where given, else found in the image.
 
-    rng: draws samples where `options.fit` says MSAC. Raises `BadCalibration` where no ball is found or
+    rng: draws samples where `options` say MSAC. Raises `BadCalibration` where no ball is found or
     its pixels do not determine M.
     """
-    options = options or SphereOptions()
+    options = options or ResponseFitOptions()
     ball = _ball_in(frame, camera, mask, options)
     return _fit(frame, *ball, mask, options, rng)
 
@@ -62,7 +63,7 @@ def fit_response_to_switched_sphere(
     alone: Sequence[LinearFrame],
     camera: Camera,
     mask: Mask | None = None,
-    options: SphereOptions | None = None,
+    options: ResponseFitOptions | None = None,
     rng: np.random.Generator | None = None,
     dark: LinearFrame | None = None,
 ) -> SphereCalibration:
@@ -74,7 +75,7 @@ def fit_response_to_switched_sphere(
     makes lamps seem far, and footage tells it better. dark: the ball under no lamp, None for none. Else as
     `fit_response_to_sphere`.
     """
-    options = options or SphereOptions()
+    options = options or ResponseFitOptions()
     total = LinearFrame(
         rgb=np.sum([each.rgb for each in alone], axis=0),
         clipped=np.any([each.clipped for each in alone], axis=0),
@@ -110,7 +111,7 @@ def _warn_of_lamps(lit: LitBall) -> None:
 
 
 def _ball_in(
-    frame: LinearFrame, camera: Camera, mask: Mask | None, options: SphereOptions
+    frame: LinearFrame, camera: Camera, mask: Mask | None, options: ResponseFitOptions
 ) -> tuple[Circle, NormalMap]:
     require_shape(frame.rgb, (camera.height, camera.width, 3), "frame of the ball")
     if frame.clipped.all():
@@ -122,7 +123,7 @@ def _ball_in(
         require_some(mask, "mask")
         outline = outline_from_mask(mask)
         _require_on_ball(outline, frame)
-    return outline, sphere_normals(outline, camera, options.rim_share)
+    return outline, sphere_normals(outline, camera, _RIM_SHARE)
 
 
 def _require_on_ball(outline: Circle, frame: LinearFrame) -> None:
@@ -147,13 +148,17 @@ def _require_on_ball(outline: Circle, frame: LinearFrame) -> None:
 
 
 def _fit(
-    frame: LinearFrame, outline: Circle, normal_map: NormalMap, mask: Mask | None, options: SphereOptions,
+    frame: LinearFrame,
+    outline: Circle,
+    normal_map: NormalMap,
+    mask: Mask | None,
+    options: ResponseFitOptions,
     rng: np.random.Generator | None,
-) -> SphereCalibration:  # fmt: skip
+) -> SphereCalibration:
     chosen = normal_map.mask if mask is None else normal_map.mask & mask
     normals, rgb = normal_map.normals_in_camera[chosen], frame.rgb[chosen]
     try:
-        fit = fit_response(normals, rgb, options.fit, clipped=frame.clipped[chosen], verb="sphere", rng=rng)
+        fit = fit_response(normals, rgb, options, clipped=frame.clipped[chosen], verb="sphere", rng=rng)
     except BadCalibration as problem:
         if _mirrors(rgb):
             raise BadCalibration(

@@ -54,7 +54,19 @@ GROUPS: dict[str, str] = {
     "evaluate": "Compare results with ground truth.",
 }
 
-_FILES = {"rectify": "calibrate", "data": "schema"}  # of verbs; the others are in the file of their name
+# verb -> the function that is its call from Python, where it is not of the verb's name; "file:name": a
+# command of its own
+_FUNCTIONS: dict[str, str] = {
+    "board": "write_board",
+    "doctor": "inspect_footage",
+    "schema": "schema:schema_command",
+    "data": "schema:data_command",
+    "live": "watch",
+    "report": "write_report",
+    "recipe list": "recipe:list_command",
+    "recipe run": "recipe:run_command",
+    "evaluate normals": "evaluate_normal_files",
+}
 
 # What `--help` ends with: a call that works on one's own files.
 EXAMPLES: dict[str, str] = {
@@ -115,8 +127,8 @@ def build_app(arguments: Sequence[str] = ()) -> App:
     }
     for verb, line in VERBS.items():
         *group, name = verb.split()
-        file = _FILES.get(verb, verb.split()[0]).replace("-", "_")
-        target = f"vntoolkit.cli.{file}:{name.replace('-', '_')}_command"
+        function = _FUNCTIONS.get(verb, verb.replace(" ", "_").replace("-", "_"))
+        target = f"vntoolkit.cli.{function}" if ":" in function else f"vntoolkit.cli.verb:{function}"
         shown = None if list(arguments[: len(group) + 1]) == verb.split() else line
         parent = groups[group[0]] if group else app
         parent.command(target, name=name, help=shown, help_epilogue=f"Example: `{EXAMPLES[verb]}`")

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from vntoolkit.cli.output import print_next, say
-from vntoolkit.cli.verb import command, verb
+from vntoolkit.cli.verb import verb
 from vntoolkit.geometry.board_layout import BoardLayout
 from vntoolkit.io.board_pdf import write_board_pdf
 from vntoolkit.options.base import File, Named, Options, named
@@ -32,6 +32,3 @@ def write_board(asked: WriteBoardArguments) -> Path:
     )
     print_next("calibrate", "board", "board.mkv", "--square-mm", f"{asked.square_mm:g}", "--out", "rig.json")
     return out
-
-
-board_command = command(write_board)

@@ -22,7 +22,7 @@ from vntoolkit.cli.output import (
     say,
     unused,
 )
-from vntoolkit.cli.verb import command, verb
+from vntoolkit.cli.verb import verb
 from vntoolkit.diagnosis.finding import judge, require_known_checks
 from vntoolkit.diagnosis.rig_checks import check_lamps, check_residual
 from vntoolkit.diagnosis.transfer_match import check_transfer_of_samples
@@ -42,7 +42,6 @@ from vntoolkit.options.calibration import (
     LightColoursName,
     PressOptions,
     ResponseFitOptions,
-    SphereOptions,
 )
 from vntoolkit.options.footage import MatteOptions, PictureLimits, SensorOptions
 from vntoolkit.options.head import HeadOptions
@@ -98,7 +97,7 @@ class FootageArguments(
 
 
 @dataclass(frozen=True, kw_only=True)
-class SphereArguments(FootageArguments, MatteOptions, SphereOptions, ResponseFitOptions):
+class SphereArguments(FootageArguments, MatteOptions, ResponseFitOptions):
     """What `calibrate_sphere` takes."""
 
     source: Source = field(kw_only=False)
@@ -112,7 +111,7 @@ class SphereArguments(FootageArguments, MatteOptions, SphereOptions, ResponseFit
 def calibrate_sphere(asked: SphereArguments) -> Rig:
     """Calibrate on a matte ball of the material, at rest under all lights, or one after the other."""
     job = asked.job(str(asked.source), mask=asked.mask, matting=asked.part(MatteOptions))
-    rig, result = calibrate.calibrate_sphere(job, asked.part(SphereOptions))
+    rig, result = calibrate.calibrate_sphere(job, asked.part(ResponseFitOptions))
     _keep(Path(asked.out), rig, job, result.fit)
     (u, v), radius = result.outline.centre_px, result.outline.radius_px
     report_rig(Path(asked.out), rig, f"ball at ({u:.1f}, {v:.1f}), radius {radius:.1f} px")
@@ -450,11 +449,3 @@ def _report_rectified(
     say(f"{asked.out}: {count} images of {width}×{height}, {rectification.pixel_mm:g} mm a pixel")
     ball = ("--ball-radius-mm", "2", "--pixel-mm", f"{rectification.pixel_mm:g}")
     print_next("calibrate", "presses", str(asked.out), "--background", "gel.png", *ball, "--out", "gel.json")
-
-
-sphere_command = command(calibrate_sphere)
-board_command = command(calibrate_board)
-lights_command = command(calibrate_lights)
-head_command = command(calibrate_head)
-presses_command = command(calibrate_presses)
-rectify_command = command(rectify)

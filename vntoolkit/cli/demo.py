@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from vntoolkit.cli.output import ProgressBars, print_next, say
-from vntoolkit.cli.verb import command, verb
+from vntoolkit.cli.verb import verb
 from vntoolkit.options.base import File
 from vntoolkit.options.shared import JobOptions
 from vntoolkit.options.simulation import DemoOptions
@@ -50,6 +50,3 @@ def demo(asked: DemoArguments) -> OpenedResult:
     say(f"report: {page}")
     print_next("view", made)
     return result
-
-
-demo_command = command(demo)

@@ -10,7 +10,6 @@ import sys
 import tempfile
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,7 +21,7 @@ from rich.table import Table
 from vntoolkit import __version__, libraries
 from vntoolkit.cli.given import curve_from_text
 from vntoolkit.cli.output import print_next, unused
-from vntoolkit.cli.verb import command, verb
+from vntoolkit.cli.verb import verb
 from vntoolkit.errors import BadCapture, BadInput, escaped
 from vntoolkit.options.base import OptionalFile, as_path, named
 from vntoolkit.options.footage import Gaps, MatteOptions, PictureLimits, SensorOptions
@@ -75,9 +74,7 @@ class DoctorArguments(BackgroundOptions, MatteOptions, SensorOptions, PictureLim
     rig's, else the one that the file states, else linear."""
 
 
-@verb(DoctorArguments)
-def inspect_footage(asked: DoctorArguments) -> CaptureReport:
-    """Check the installation, or check footage for faults that spoil normals."""
+def _inspected(asked: DoctorArguments) -> CaptureReport:
     from vntoolkit.diagnosis.inspection import inspect_capture
     from vntoolkit.io.footage.captures import CaptureOptions
     from vntoolkit.io.rigs import read_rig
@@ -101,14 +98,13 @@ def inspect_footage(asked: DoctorArguments) -> CaptureReport:
     )
 
 
-@partial(command, inspect_footage)
-def doctor_command(asked: DoctorArguments) -> int:
+def _shown(asked: DoctorArguments) -> int:
     """Print what was found; 1 where something is broken or fatal."""
     if asked.source is None:
         return _check_libraries(Console())
     from vntoolkit.diagnosis.finding import Level
 
-    report: CaptureReport = inspect_footage.run(asked)  # type: ignore[attr-defined]
+    report = _inspected(asked)
     _print_report(Console(emoji=False), str(asked.source), report)
     fatal = any(finding.level is Level.FATAL for finding in report.findings)
     rig = Path(asked.rig or "rig.json")
@@ -117,6 +113,12 @@ def doctor_command(asked: DoctorArguments) -> int:
     elif not fatal:
         print_next("board", "--out", "board.pdf")
     return int(fatal)
+
+
+@verb(DoctorArguments, show=_shown)
+def inspect_footage(asked: DoctorArguments) -> CaptureReport:
+    """Check the installation, or check footage for faults that spoil normals."""
+    return _inspected(asked)
 
 
 @dataclass(frozen=True, kw_only=True)

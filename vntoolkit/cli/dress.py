@@ -6,7 +6,7 @@ from functools import partial
 from pathlib import Path
 
 from vntoolkit.cli.output import MESH, ProgressBars, print_next_program, require_output, say
-from vntoolkit.cli.verb import command, verb
+from vntoolkit.cli.verb import verb
 from vntoolkit.io.motion.garment_fits import read_garment_fit
 from vntoolkit.io.results.folder import read_lock, write_lock
 from vntoolkit.options.base import File, OptionalFile, named
@@ -82,6 +82,3 @@ def dress(asked: DressArguments) -> Path:
         say(f"{out.parent / stem}_sheet.png, {stem}_turntable.mkv")
     print_next_program(out.with_name(out.name % 0) if out.suffix.lower() in MESH else out)
     return out
-
-
-dress_command = command(dress)

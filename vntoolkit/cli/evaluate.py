@@ -18,7 +18,7 @@ from vntoolkit.cli.output import (
     unused,
     write_json,
 )
-from vntoolkit.cli.verb import command, verb
+from vntoolkit.cli.verb import verb
 from vntoolkit.errors import BadInput, BadMesh
 from vntoolkit.evaluation import mesh_comparison
 from vntoolkit.evaluation.angular_error import AngularError
@@ -452,10 +452,3 @@ def _print_what_is_next(measured: Path) -> None:
         if (folder / "reconstruction.json").is_file():
             print_next("report", folder)
             return
-
-
-normals_command = command(evaluate_normal_files)
-mesh_command = command(evaluate_mesh)
-cylinder_command = command(evaluate_cylinder)
-tracks_command = command(evaluate_tracks)
-integration_command = command(evaluate_integration)

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from vntoolkit.cli.output import ProgressBars, print_next, print_next_program, say
-from vntoolkit.cli.verb import command, verb
+from vntoolkit.cli.verb import verb
 from vntoolkit.options.base import File, OptionalFile, named
 from vntoolkit.options.export import CleanOptions, ExportFormat, ExportFormatName, ExportOptions
 from vntoolkit.options.footage import ReadingLimits
@@ -78,6 +78,3 @@ def export(asked: ExportArguments) -> Path:
     else:
         print_next("report", str(asked.folder))
     return summary.out
-
-
-export_command = command(export)

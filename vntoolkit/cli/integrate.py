@@ -3,7 +3,7 @@
 from functools import partial
 
 from vntoolkit.cli.output import ProgressBars, print_next, say
-from vntoolkit.cli.verb import command, verb
+from vntoolkit.cli.verb import verb
 from vntoolkit.options.normal_maps import IntegrateArguments
 from vntoolkit.pipeline.integrate_normals import integrate_normals
 from vntoolkit.pipeline.opened_result import OpenedResult, read_result
@@ -23,6 +23,3 @@ def integrate(asked: IntegrateArguments) -> OpenedResult:
     say(f"{folder}: depth of {count} normal map{'' if count == 1 else 's'}")
     print_next("view", folder)
     return result
-
-
-integrate_command = command(integrate)

@@ -12,7 +12,7 @@ import numpy as np
 
 from vntoolkit.cli.given import rectification_from_corners, rig_with_corners
 from vntoolkit.cli.output import print_next, say, unused
-from vntoolkit.cli.verb import command, verb
+from vntoolkit.cli.verb import verb
 from vntoolkit.diagnosis.finding import judge, require_known_checks
 from vntoolkit.diagnosis.rig_checks import findings_from_rig
 from vntoolkit.errors import BadInput, VntError
@@ -121,9 +121,6 @@ def watch(asked: LiveArguments) -> list[Path]:
         plate += [] if asked.key is None else ["--key", f"{asked.key:g}"]
         print_next("reconstruct", files[-1], "--rig", str(asked.rig), *plate, "--out", unused("result"))
     return files
-
-
-live_command = command(watch)
 
 
 def _watch(

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from vntoolkit.cli.output import print_next, progress_bar, say, unused
-from vntoolkit.cli.verb import command, verb
+from vntoolkit.cli.verb import verb
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.io.results.folder import write_lock
 from vntoolkit.options.normal_maps import PhotometricStereoArguments
@@ -25,6 +25,3 @@ def photometric_stereo(asked: PhotometricStereoArguments) -> NormalMap:
         say(f"expected error: {np.median(found.error_deg[found.mask]):.1f} degrees, the median")
     print_next("integrate", str(asked.out), "--out", unused("result"))
     return found
-
-
-photometric_stereo_command = command(photometric_stereo)

@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 
 from vntoolkit.cli.given import rig_with_corners
 from vntoolkit.cli.output import ProgressBars, print_next, say
-from vntoolkit.cli.verb import command, verb
+from vntoolkit.cli.verb import verb
 from vntoolkit.diagnosis.finding import require_known_checks
 from vntoolkit.errors import BadCapture
 from vntoolkit.io.footage.captures import CaptureOptions, open_capture
@@ -131,9 +131,6 @@ def reconstruct(asked: ReconstructArguments) -> OpenedResult:
         raise BadCapture(f"{source}: {summary.loss}")
     print_next("view", summary.folder)
     return read_result(asked.out)
-
-
-reconstruct_command = command(reconstruct)
 
 
 def _with_transfer(rig: Rig, transfer: str | None) -> Rig:

@@ -14,6 +14,12 @@ REMOVED: dict[str, str] = {
     "--faces": "is --most-faces now",
     "--field-width": "is --field-width-m now",
     "--frame-rate": "is --frame-rate-hz now",
+    "--rim-share": "was removed: leave it out; give --mask where the outline is not found well",
+    "--largest-error-px": "was removed: leave it out, or give --camera where frames are left out",
+    "--flat-share": "was removed: leave it out; `vntoolkit calibrate presses` draws what it needs",
+    "--square-px": "was removed: leave it out; texture.png is the file to put another pattern into",
+    "--picture-px": "was removed: leave it out; --most-frames and --vertices make the page smaller",
+    "--picture-height": "was removed: leave it out; `vntoolkit view` shows pictures in full",
 }
 _OF_HEADS = (
     "corner-spacing-px window-px margin-px pose-tracks least-turn-deg hull-cells references stereo-window-px "

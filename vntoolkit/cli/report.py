@@ -2,11 +2,10 @@
 
 import json
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 
 from vntoolkit.cli.output import PAGE, print_next, require_output, say
-from vntoolkit.cli.verb import command, verb
+from vntoolkit.cli.verb import verb
 from vntoolkit.io.results.manifest import read_manifest
 from vntoolkit.options.base import File, OptionalFile, named
 from vntoolkit.options.footage import ReadingLimits
@@ -32,14 +31,7 @@ def _written(asked: ReportArguments) -> Path:
     return pages.write_report(Path(asked.folder), asked.out, asked.part(ReportOptions))
 
 
-@verb(ReportArguments)
-def write_report(asked: ReportArguments) -> Path:
-    """Write one self-contained HTML page on a reconstruction: pictures, calibration, statistics, warnings."""
-    return _written(asked)
-
-
-@partial(command, write_report)
-def report_command(asked: ReportArguments) -> None:
+def _shown(asked: ReportArguments) -> None:
     """Print the page's name and what comes next."""
     folder = Path(asked.folder)
     if asked.json:
@@ -52,3 +44,9 @@ def report_command(asked: ReportArguments) -> None:
         print_next("track", folder)
     else:
         print_next("export", folder, "--to", "obj" if (folder / "depth").is_dir() else "png")
+
+
+@verb(ReportArguments, show=_shown)
+def write_report(asked: ReportArguments) -> Path:
+    """Write one self-contained HTML page on a reconstruction: pictures, calibration, statistics, warnings."""
+    return _written(asked)

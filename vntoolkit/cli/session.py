@@ -5,7 +5,7 @@ from pathlib import Path
 
 from vntoolkit.cli.output import ProgressBars, print_next, say
 from vntoolkit.cli.reconstruct import RunArguments
-from vntoolkit.cli.verb import command, verb
+from vntoolkit.cli.verb import verb
 from vntoolkit.errors import BadInput, VntError
 from vntoolkit.io.rigs import read_rig
 from vntoolkit.options.base import File, Named, OptionalFile, Source, named
@@ -33,14 +33,7 @@ class SessionArguments(RunArguments):
     folder of mattes for each, named as the capture is: take1.png, take1.mkv or take1."""
 
 
-@verb(SessionArguments)
-def session(asked: SessionArguments) -> list[CaptureOutcome]:
-    """Reconstruct all captures of one rig, and track them on request, each into its own folder.
-
-    A capture that fails is reported at the end; the others are still done. The same command again continues
-    an interrupted run. With a scheduler, all workers reconstruct the frames of one capture, and one of them
-    tracks it while the others reconstruct the next.
-    """
+def _outcomes(asked: SessionArguments) -> list[CaptureOutcome]:
     if not asked.sources:
         raise BadInput("session: expected at least one video or folder of images, got none")
     if asked.track and asked.to is Product.NORMALS:
@@ -79,16 +72,13 @@ def _mask_of(name: str, mask: Path | None) -> Path | None:
 
 def _reported(asked: SessionArguments) -> None:
     """Print a line for each capture; raise `VntError` where one failed."""
-    out, outcomes = Path(asked.out), session.run(asked)  # type: ignore[attr-defined]
+    out, outcomes = Path(asked.out), _outcomes(asked)
     for outcome in outcomes:
         say(f"{out / outcome.name}: {_line(outcome)}")
     failed = [outcome.name for outcome in outcomes if outcome.failure or _loss(outcome)]
     if failed:
         raise VntError(f"{len(failed)} of {len(outcomes)} captures failed: {', '.join(failed)}")
     print_next("view", out / outcomes[0].name)
-
-
-session_command = command(session, _reported)
 
 
 def _loss(outcome: CaptureOutcome) -> str:
@@ -108,3 +98,14 @@ def _line(outcome: CaptureOutcome) -> str:
     if outcome.failure:
         return f"{text}; failed: {outcome.failure}"
     return text if outcome.tracks is None else f"{text}; {outcome.tracks.vertices} vertices tracked"
+
+
+@verb(SessionArguments, show=_reported)
+def session(asked: SessionArguments) -> list[CaptureOutcome]:
+    """Reconstruct all captures of one rig, and track them on request, each into its own folder.
+
+    A capture that fails is reported at the end; the others are still done. The same command again continues
+    an interrupted run. With a scheduler, all workers reconstruct the frames of one capture, and one of them
+    tracks it while the others reconstruct the next.
+    """
+    return _outcomes(asked)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from vntoolkit.cli.output import ProgressBars, print_next, say, unused
-from vntoolkit.cli.verb import command, verb
+from vntoolkit.cli.verb import verb
 from vntoolkit.errors import BadInput
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.options.base import File, OptionalFile, named
@@ -83,9 +83,6 @@ def simulate(asked: SimulateArguments) -> Path:
     else:  # under one lamp
         print_next("doctor", video)
     return out
-
-
-simulate_command = command(simulate)
 
 
 def _size(text: str) -> tuple[int, int]:

@@ -6,10 +6,10 @@ from statistics import median
 from typing import TYPE_CHECKING
 
 from vntoolkit.cli.output import ProgressBars, print_next, say
-from vntoolkit.cli.verb import command, verb
+from vntoolkit.cli.verb import verb
 from vntoolkit.geometry.mesh import MeshSequence
 from vntoolkit.io.results.sequences import read_mesh_sequence
-from vntoolkit.options.tracking import CheckerboardOptions, TrackArguments
+from vntoolkit.options.tracking import TrackArguments
 from vntoolkit.pipeline.checkerboard import write_checkerboard
 from vntoolkit.pipeline.texture import write_texture
 from vntoolkit.pipeline.track import TrackSummary
@@ -33,7 +33,7 @@ def track(asked: TrackArguments) -> MeshSequence:
         from vntoolkit.pipeline.object_poses import write_object_poses
 
         _report_poses(write_object_poses(Path(asked.folder), asked.target))
-    files = write_checkerboard(Path(asked.folder), asked.target, asked.part(CheckerboardOptions))
+    files = write_checkerboard(Path(asked.folder), asked.target)
     _report(summary)
     say(f"{files.video}, {files.sheet.name}")
     made = write_texture(Path(asked.folder), asked.target, footage=asked.footage, background=asked.background)
@@ -51,9 +51,6 @@ def _report_poses(poses: "list[TrackedPose]") -> None:
         line += f"{max(p.error_mm for p in known):.2f} mm; unobservable directions: "
         line += f"{max(len(p.unobservable) for p in known)}"
     say(line)
-
-
-track_command = command(track)
 
 
 def _report(summary: TrackSummary) -> None:

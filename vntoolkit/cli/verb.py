@@ -19,6 +19,7 @@ from typing import Annotated, Any, Literal, ParamSpec, TypeVar, Union, get_args,
 
 from cyclopts import CoercionError, Group, Parameter, Token, convert
 
+import vntoolkit
 from vntoolkit.cli.output import silent
 from vntoolkit.cli.removed import require_no_removed
 from vntoolkit.errors import BadInput
@@ -47,13 +48,13 @@ _PANELS: dict[str, tuple[str, ...]] = {
     "Method": (),
     "Output": (
         "out", "to", "overwrite", "figure", "overlay", "report", "html", "mesh", "preview", "page",
-        "record_to", "vertices", "picture_px", "most_frames", "picture_height", "units", "up", "scale",
+        "record_to", "vertices", "most_frames", "units", "up", "scale",
     ),
     "Machine": ("jobs", "scheduler", "host", "port", "max_megapixels", "max_vertices"),
     "Expert": (
         "albedo_tolerance", "darkest", "clipped", "steepest_slope_deg", "least_weight", "precision",
         "tolerance", "most_iterations", "largest_step", "shadow_share", "outlier_sigmas", "inlier_share",
-        "largest_error_px", "radial_terms", "tangential", "rim_share", "contact_share", "flat_share",
+        "radial_terms", "tangential", "contact_share",
         "threshold", "neighbours",
     ),
 }  # fmt: skip
@@ -62,10 +63,14 @@ _GROUPS = {panel: Group(panel, sort_key=place) for place, panel in enumerate(_PA
 
 
 def verb(
-    arguments: Callable[P, Asked], *, prints: bool = False
+    arguments: Callable[P, Asked],
+    *,
+    show: Callable[[Asked], object] | None = None,
+    prints: bool = False,
 ) -> Callable[[Callable[[Asked], R]], Callable[P, R]]:
     """Make a function of an argument class one that takes the fields of the class.
 
+    show: what the command runs instead, where it does more than the call; it may return the exit status.
     prints: whether a call from Python prints what the command does.
     """
 
@@ -78,7 +83,7 @@ def verb(
                 return run(asked)
 
         shown: Any = call
-        shown.arguments, shown.run = arguments, run
+        shown.arguments, shown.show = arguments, show or run
         returned = inspect.signature(run).return_annotation
         shown.__signature__ = inspect.Signature(_parameters(arguments), return_annotation=returned)
         return call
@@ -86,20 +91,21 @@ def verb(
     return give
 
 
-def command(verb: Any, show: Callable[[Any], int | None] | None = None) -> Any:
-    """Return the command of a verb: the verb itself, which then prints what came of it.
+def __getattr__(name: str) -> Any:
+    """Return the command of a public verb: cyclopts asks for it when the verb is typed."""
+    if name.startswith("_"):
+        raise AttributeError(name)
+    return command(getattr(vntoolkit, name))
 
-    show: what runs and prints instead, where a command does more than the call; it returns the exit status.
-    """
+
+def command(verb: Any) -> Any:
+    """Return the command of a verb: the verb itself, which then prints what came of it."""
     arguments = verb.arguments
 
-    def run(*given: Any, **named: Any) -> int | None:
+    def run(*given: Any, **named: Any) -> Any:
         asked = asked_from(arguments, given, named)
         with _prepared(asked):
-            if show is not None:
-                return show(asked)
-            verb.run(asked)
-            return None
+            return verb.show(asked)
 
     shown: Any = run
     shown.__doc__, shown.__name__ = verb.__doc__, verb.__name__

@@ -2,11 +2,10 @@
 
 import contextlib
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 
 from vntoolkit.cli.output import PAGE, print_next, progress_bar, require_output, say
-from vntoolkit.cli.verb import command, verb
+from vntoolkit.cli.verb import verb
 from vntoolkit.options.base import File, OptionalFile, named
 from vntoolkit.options.footage import ReadingLimits
 from vntoolkit.options.pages import ScenePageOptions, ViewerOptions
@@ -39,21 +38,7 @@ def _written(asked: ViewArguments, result: OpenedResult, html: Path) -> int:
     return count
 
 
-@verb(ViewArguments)
-def view(asked: ViewArguments) -> ResultViewer | Path:
-    """Serve a page that shows a reconstruction: move through its frames, drag a light. Or write such a page.
-
-    In Python the server is returned, of which `.address` is the page and `.close()` ends it; or the file.
-    """
-    result = _opened(asked)
-    if asked.html is None:
-        return ResultViewer(result, asked.part(ViewerOptions))
-    _written(asked, result, asked.html)
-    return asked.html
-
-
-@partial(command, view)
-def view_command(asked: ViewArguments) -> None:
+def _shown(asked: ViewArguments) -> None:
     """Serve until Ctrl-C, or print what was written."""
     result = _opened(asked)
     if asked.html is not None:
@@ -68,3 +53,16 @@ def view_command(asked: ViewArguments) -> None:
         shown.wait()
     shown.close()
     print_next("report", str(asked.folder))
+
+
+@verb(ViewArguments, show=_shown)
+def view(asked: ViewArguments) -> ResultViewer | Path:
+    """Serve a page that shows a reconstruction: move through its frames, drag a light. Or write such a page.
+
+    In Python the server is returned, of which `.address` is the page and `.close()` ends it; or the file.
+    """
+    result = _opened(asked)
+    if asked.html is None:
+        return ResultViewer(result, asked.part(ViewerOptions))
+    _written(asked, result, asked.html)
+    return asked.html

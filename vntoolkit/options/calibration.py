@@ -72,8 +72,6 @@ class IntrinsicsOptions(Options):
 class BoardOptions(Options):
     """Options of the calibration on a board."""
 
-    largest_error_px: float = 1.0
-    """A frame whose corners miss their projection by more than this root mean square is left out."""
     degree: int = 0
     """Degree of the polynomials by which M varies over the image, 0 to 3. 0 is one M for the whole image.
     Near lights need 2, and a board that was moved through the whole picture."""
@@ -83,23 +81,7 @@ class BoardOptions(Options):
     """How M is fitted."""
 
     def _require_valid(self) -> None:
-        require_positive(self.largest_error_px, "board: largest error in pixels")
         require_in_range(self.degree, 0, HIGHEST_DEGREE, "board: degree of the variation")
-
-
-@dataclass(frozen=True, kw_only=True)
-class SphereOptions(Options):
-    """Options of the calibration on a ball."""
-
-    rim_share: float = 0.02
-    """Share of the ball's radius, next to its rim, that is left out. There an error of one pixel in the
-    outline turns the normal by tens of degrees."""
-    fit: ResponseFitOptions = field(default_factory=ResponseFitOptions)
-    """How M is fitted."""
-
-    def _require_valid(self) -> None:
-        if not 0 <= self.rim_share < 0.5:
-            raise BadInput(f"rim share: expected 0 to 0.5, got {self.rim_share:g}")
 
 
 class LightColours(Enum):
@@ -132,9 +114,6 @@ class PressOptions(Options):
     """Share of the labelled contact radius inside which the gel follows the ball."""
     samples: int = 400
     """Pixels drawn from a press's contact."""
-    flat_share: float = 0.67
-    """Number of pixels drawn where the gel is flat, divided by the number drawn in the contact. More of them
-    make the gel around a touch flatter, and the ball less round."""
     label_offset: Named[LabelOffset, Literal["common", "own", "none"]] = named(LabelOffset.COMMON)
     """Whether the circles move to their dents."""
     outlier_sigmas: float = 4.0
@@ -156,5 +135,3 @@ class PressOptions(Options):
         if self.samples < 4:
             raise BadInput(f"presses: expected at least 4 samples a press, got {self.samples}")
         require_positive(self.outlier_sigmas, "presses: outlier sigmas")
-        if not 0 <= self.flat_share <= 10:
-            raise BadInput(f"presses: expected a flat share from 0 to 10, got {self.flat_share:g}")

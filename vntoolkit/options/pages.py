@@ -29,15 +29,13 @@ class ScenePageOptions(Options):
 
     vertices: int = 12_000
     """Most vertices of a frame's mesh on the page of --html; finer ones are thinned."""
-    picture_px: int = 640
-    """Longest side of that page's pictures, pixels."""
     most_frames: int = 150
     """Most frames on that page, evenly spread over the sequence. With 12,000 vertices and four pictures of
     640 pixels, a frame takes about 0.3 MB."""
 
     def _require_valid(self) -> None:
-        if self.vertices < 4 or self.picture_px < 1 or self.most_frames < 1:
-            raise BadInput("scene: expected at least 4 vertices, one pixel and one frame")
+        if self.vertices < 4 or self.most_frames < 1:
+            raise BadInput("scene: expected at least 4 vertices and one frame")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,14 +44,12 @@ class ReportOptions(Options):
 
     samples: int = 4
     """Frames shown as pictures, evenly spread."""
-    picture_height: int = 300
-    """Most pixels that each of them is high."""
     footage: str = ""
     """Where the footage is now, if not where it was when it was reconstructed."""
 
     def _require_valid(self) -> None:
-        if self.samples < 1 or self.picture_height < 1:
-            raise BadInput("report: expected at least one sample frame and one pixel")
+        if self.samples < 1:
+            raise BadInput("report: expected at least one sample frame")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -61,18 +61,7 @@ class TrackingOptions(Options):
 
 
 @dataclass(frozen=True, kw_only=True)
-class CheckerboardOptions(Options):
-    """How the texture is drawn."""
-
-    square_px: int = 16
-    """Side of a square of the checkerboard on the template, pixels."""
-
-    def _require_valid(self) -> None:
-        require_in_range(self.square_px, 1, 10_000, "square of the checkerboard in pixels")
-
-
-@dataclass(frozen=True, kw_only=True)
-class TrackArguments(MovedFootageOptions, TrackingOptions, CheckerboardOptions, ReadingLimits):
+class TrackArguments(MovedFootageOptions, TrackingOptions, ReadingLimits):
     """What `track` takes."""
 
     folder: File = field(kw_only=False)

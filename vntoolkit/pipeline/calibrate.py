@@ -35,7 +35,7 @@ from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.footage.mattes import open_mattes
 from vntoolkit.io.light_files import read_lights
 from vntoolkit.io.rigs import read_rig
-from vntoolkit.options.calibration import BoardOptions, LightColours, SphereOptions
+from vntoolkit.options.calibration import BoardOptions, LightColours, ResponseFitOptions
 from vntoolkit.options.footage import Gaps, MatteOptions, SensorOptions
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
@@ -111,7 +111,7 @@ class CalibrationJob:
         return Camera.pinhole(width=info.width, height=info.height, focal_px=self.focal_px)
 
 
-def calibrate_sphere(job: CalibrationJob, options: SphereOptions) -> tuple[Rig, SphereCalibration]:
+def calibrate_sphere(job: CalibrationJob, options: ResponseFitOptions) -> tuple[Rig, SphereCalibration]:
     """Fit a rig to footage of a ball at rest; the frames are averaged.
 
     Where each lamp is on alone in some frames, M is that of the three together, and their colours, their

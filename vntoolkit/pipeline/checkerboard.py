@@ -10,7 +10,6 @@ from vntoolkit.arrays import ByteArray
 from vntoolkit.errors import BadInput
 from vntoolkit.io.footage.frame_range import sampled
 from vntoolkit.io.footage.image_writing import write_png
-from vntoolkit.options.tracking import CheckerboardOptions
 from vntoolkit.pipeline.opened_result import OpenedResult, read_result
 from vntoolkit.pipeline.tracked_folder import Tracks, read_tracks
 from vntoolkit.tracking.checkerboard import checkerboard_frame
@@ -27,9 +26,7 @@ class CheckerboardFiles:
     moments: Mapping[int, ByteArray]
 
 
-def write_checkerboard(
-    folder: Path, track_folder: Path | None = None, options: CheckerboardOptions | None = None
-) -> CheckerboardFiles:
+def write_checkerboard(folder: Path, track_folder: Path | None = None) -> CheckerboardFiles:
     """Write checkerboard.mkv (lossless) and checkerboard.png (eight frames) into the track folder."""
     from vntoolkit.io.footage.video import write_video
 
@@ -39,7 +36,7 @@ def write_checkerboard(
     moments: dict[int, ByteArray] = {}
 
     def frames() -> Iterator[ByteArray]:
-        for row, frame in enumerate(_frames(result, tracks, options or CheckerboardOptions())):
+        for row, frame in enumerate(_frames(result, tracks)):
             if row in wanted:
                 moments[row] = frame
             yield frame
@@ -50,7 +47,7 @@ def write_checkerboard(
     return CheckerboardFiles(video=video, sheet=sheet, moments=moments)
 
 
-def _frames(result: OpenedResult, tracks: Tracks, options: CheckerboardOptions) -> Iterator[ByteArray]:
+def _frames(result: OpenedResult, tracks: Tracks) -> Iterator[ByteArray]:
     camera, sequence, vertices = result.camera, tracks.sequence, tracks.template_vertices
     if vertices is None:
         raise BadInput(f"{tracks.folder}: the template's frame {tracks.template} is not tracked yet")
@@ -60,7 +57,7 @@ def _frames(result: OpenedResult, tracks: Tracks, options: CheckerboardOptions) 
         if result.folder.has(number, "normals", "depth"):
             drawn = checkerboard_frame(
                 np.array(sequence.vertices[row]), sequence.template.faces, pixels, camera,
-                result.normals(number), options,
+                result.normals(number),
             )  # fmt: skip
         yield drawn
 

@@ -55,7 +55,7 @@ def require_scheduler(scheduler: str) -> None:
 def connected(scheduler: str, workers: int) -> Iterator[Any]:
     """A Dask client of a scheduler, which is started and ended here if it is to be local."""
     dask, distributed = _import_distributed()
-    _let_dask_report_errors_only()
+    _silence_dask()
     if scheduler == LOCAL:
         with contextlib.ExitStack() as stack:
             stack.enter_context(dask.config.set(_RARE_HOUSEKEEPING))
@@ -88,12 +88,12 @@ def _import_distributed() -> tuple[Any, Any]:
     return dask, distributed
 
 
-def _let_dask_report_errors_only() -> None:
-    """Silence Dask's loggers, which report every connection, but for errors."""
-    for name in ("distributed", *logging.root.manager.loggerDict):
-        if name.partition(".")[0] == "distributed":
-            logger = logging.getLogger(name)
-            logger.setLevel(max(logger.level, logging.ERROR))
+def _silence_dask() -> None:
+    """Silence what Dask works with: what it meets while it loses a cluster is told in a line of ours."""
+    known = ("tornado.application", "asyncio", *logging.root.manager.loggerDict)
+    for name in known:
+        if name.partition(".")[0] in ("distributed", "tornado", "asyncio"):
+            logging.getLogger(name).setLevel(logging.CRITICAL)
 
 
 class _Watched:

@@ -264,7 +264,8 @@ def tiled(
         places += [(top, int(left), picture) for left, picture in zip(lefts, row.values(), strict=False)]
         top += max(height for height, _ in sizes[i]) + _GAP_PX
     below = line * (bool(legend) + bool(scale))
-    canvas = np.full((top + below, int(lefts[-1]) + widths[-1], 3), 255, np.uint8)
+    width = max(int(lefts[-1]) + widths[-1], _SCALE_PX if below else 0)
+    canvas = np.full((top + below, width, 3), 255, np.uint8)
     for y, x, picture in places:
         canvas[y : y + picture.shape[0], x : x + picture.shape[1]] = picture
     if legend:

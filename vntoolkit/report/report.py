@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
     from vntoolkit.pipeline.tracked_folder import Tracks
 
+_PICTURE_HEIGHT_PX = 300  # of a sample, at most
 _POINTS = 300  # more frames than this are drawn as a line without points
 
 
@@ -47,7 +48,7 @@ def write_report(
     middle = result.numbers[len(result.numbers) // 2]
     sections = [
         warnings_section(result),
-        samples_section(result, options.samples, options.picture_height),
+        samples_section(result, options.samples, _PICTURE_HEIGHT_PX),
         *extra,
         calibration_section(result, middle),
         shares_section(result),

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from vntoolkit.pipeline.tracked_folder import Tracks
 
 _WEBP_QUALITY = 88
+_PICTURE_PX = 640  # longest side of an offline page's pictures
 _SERVED_QUALITY = 92  # of a JPEG
 _ZLIB_LEVEL = 6
 _WIRE_VERTICES = 3000  # a wire a pixel would look solid
@@ -138,7 +139,7 @@ class _ResultScene:
         result, track = self._result, self._track
         at = 0 if track is None else int(np.argmin(np.abs(np.array(self.numbers) - track.template)))
         return {
-            "rate": result.manifest.input.playing_rate_hz * len(self.numbers) / len(result.numbers),
+            "times_s": result.manifest.input.times_of(self.numbers).tolist(),
             "numbers": self.numbers,
             "surfaces": self.surfaces,
             "template": at,
@@ -218,9 +219,7 @@ class _ResultScene:
                 entries[name] = packet.raw_picture(whole)  # measured normals light the surface: nothing lost
                 continue
             kind = "png" if name in ("shadows", "materials") else "jpg" if options is None else "webp"
-            small = (
-                whole if options is None else resized_image(whole, options.picture_px, smooth=kind != "png")
-            )
+            small = whole if options is None else resized_image(whole, _PICTURE_PX, smooth=kind != "png")
             quality = _SERVED_QUALITY if kind == "jpg" else _WEBP_QUALITY
             content = encoded_image(small, f".{kind}", quality=quality)
             entries[name] = packet.picture_file(content, f"image/{kind}".replace("jpg", "jpeg"))

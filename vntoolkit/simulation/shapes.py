@@ -1,11 +1,11 @@
-"""Shapes that no seed changes: generated meshes that the package ships."""
+"""Shapes that no seed changes: generated meshes that the package ships, whose parts move."""
 
 import zlib
 from zipfile import BadZipFile
 
 import numpy as np
 
-from vntoolkit.arrays import Array
+from vntoolkit.arrays import Array, FloatArray
 from vntoolkit.errors import BadInput
 from vntoolkit.shipped import shipped_file
 
@@ -23,3 +23,9 @@ def read_shape(name: str) -> dict[str, Array]:
     except (OSError, EOFError, ValueError, KeyError, BadZipFile, zlib.error) as error:
         raise BadInput(f"{path}: expected the arrays of a shape; install the package again") from error
     return arrays
+
+
+def smooth_step(x: FloatArray | float) -> FloatArray:
+    """Return 0 below 0, 1 above 1, and between them a cubic that is flat at both."""
+    x = np.clip(x, 0.0, 1.0)
+    return np.asarray(x * x * (3.0 - 2.0 * x))

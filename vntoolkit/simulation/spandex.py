@@ -10,7 +10,7 @@ from vntoolkit.arrays import FloatArray, Points
 from vntoolkit.options.simulation import SceneOptions
 from vntoolkit.simulation.lights import studio_camera, studio_centre, studio_lights
 from vntoolkit.simulation.scene import Scene, SceneSurface
-from vntoolkit.simulation.shapes import read_shape
+from vntoolkit.simulation.shapes import read_shape, smooth_step
 
 _FRAMES = 240
 _FIELD_WIDTH_M = 1.42
@@ -94,9 +94,9 @@ class Legs:
         shape = read_shape("legs")
         self.faces, rest = shape["faces"], shape["vertices"].astype(np.float64)
         self.rest: Points = rest
-        self._on_side = [_smooth(0.5 + sign * rest[:, 0] / 4.0) for sign in (-1.0, 1.0)]
-        self._thigh = _smooth((6.0 + 0.55 * (np.abs(rest[:, 0]) - 8.0) - rest[:, 1]) / 17.0)
-        self._shin = _smooth((_KNEE[1] + 7.0 - rest[:, 1]) / 14.0)
+        self._on_side = [smooth_step(0.5 + sign * rest[:, 0] / 4.0) for sign in (-1.0, 1.0)]
+        self._thigh = smooth_step((6.0 + 0.55 * (np.abs(rest[:, 0]) - 8.0) - rest[:, 1]) / 17.0)
+        self._shin = smooth_step((_KNEE[1] + 7.0 - rest[:, 1]) / 14.0)
 
     def vertices(self, pose: LegPose) -> Points:
         """Return (n, 3) the vertices in that pose, centimetres."""
@@ -121,8 +121,3 @@ class Legs:
 def _turned(points: Points, centre: FloatArray, rotation: FloatArray, share: FloatArray) -> Points:
     """Rotate each point about `centre` by its share of a rotation vector."""
     return Rotation.from_rotvec(share[:, None] * rotation).apply(points - centre) + centre
-
-
-def _smooth(x: FloatArray) -> FloatArray:
-    x = np.clip(x, 0.0, 1.0)
-    return np.asarray(x * x * (3.0 - 2.0 * x))

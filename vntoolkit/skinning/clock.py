@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from vntoolkit.arrays import FloatArray, IntArray, Points
 from vntoolkit.errors import BadInput
@@ -11,7 +12,6 @@ from vntoolkit.geometry.mesh import MeshSequence
 from vntoolkit.geometry.motion import Motion
 from vntoolkit.options.dressing import ClockOptions, Loop
 
-_SLERP_LINEAR_BELOW = 1e-6  # radians: there slerp and linear interpolation agree to the last digit
 _ON_A_FRAME = 1e-6  # frames: as near as this is on it, for seconds times a rate do not come out even
 
 
@@ -90,12 +90,5 @@ def _neighbours(position: FloatArray, count: int) -> tuple[IntArray, IntArray, F
 
 def _slerp(a: FloatArray, b: FloatArray, share: FloatArray) -> FloatArray:
     """Interpolate unit quaternions (…, 4) along the shorter arc."""
-    cosine = np.sum(a * b, axis=-1, keepdims=True)
-    b = np.where(cosine < 0, -b, b)
-    angle = np.arccos(np.clip(np.abs(cosine), 0, 1))
-    small = angle < _SLERP_LINEAR_BELOW
-    sine = np.where(small, 1.0, np.sin(angle))
-    of_a = np.where(small, 1 - share, np.sin((1 - share) * angle) / sine)
-    of_b = np.where(small, share, np.sin(share * angle) / sine)
-    mixed = of_a * a + of_b * b
-    return mixed / np.linalg.norm(mixed, axis=-1, keepdims=True)
+    first, way = Rotation.from_quat(a), Rotation.from_quat(a).inv() * Rotation.from_quat(b)
+    return np.asarray((first * Rotation.from_rotvec(share * way.as_rotvec())).as_quat())

@@ -17,6 +17,7 @@ from vntoolkit.tactile.circles import Press
 
 _UNTOUCHED_RADII = 3.3  # of the labelled contact: beyond it the gel lies flat, by half a radius to spare
 _FLAT_RADII = 2.8  # of the contact where it really is, which may be half a radius from its label
+_FLAT_SHARE = 0.67  # of the contact's pixels are drawn where the gel is flat; more make the ball less round
 _DRAWN_RADII = 1.25  # of the labelled contact: room for labels that lie beside the dent
 
 
@@ -95,7 +96,7 @@ def samples_from_press(
     distance = np.hypot(u - press.u_px, v - press.v_px)
     contact = _draw((distance < _DRAWN_RADII * press.radius_px) & usable, 2 * options.samples, rng)
     flat = (distance > _UNTOUCHED_RADII * press.radius_px) & usable
-    chosen = np.concatenate([contact, _draw(flat, round(options.flat_share * options.samples), rng)])
+    chosen = np.concatenate([contact, _draw(flat, round(_FLAT_SHARE * options.samples), rng)])
     rows, columns = np.divmod(chosen, shape[1])
     return PressSamples(
         rgb=change[rows, columns].astype(np.float64),

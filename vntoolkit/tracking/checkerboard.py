@@ -9,9 +9,9 @@ from vntoolkit.arrays import Faces, Points, Points2
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.geometry.rays import RayScene, pixel_rays
-from vntoolkit.options.tracking import CheckerboardOptions
 
 _LIGHT_IN_CAMERA = np.array([-0.35, -0.35, -0.87])  # towards the viewer, from above on the left
+_SQUARE_PX = 16  # side of a square on the template
 _LONGEST_EDGE_PX = 12.0  # a triangle stretched over more spans a fold or a gap and is not drawn
 
 
@@ -21,16 +21,14 @@ def checkerboard_frame(
     template_pixels: Points2,
     camera: Camera,
     normal_map: NormalMap,
-    options: CheckerboardOptions | None = None,
 ) -> npt.NDArray[np.uint8]:
     """Draw the frame, (h, w, 3) RGB: the shaded surface in grey, with the tracked checkerboard over it.
 
     template_pixels: (n, 2) where each vertex lies on the template, which its square follows from.
     """
-    options = options or CheckerboardOptions()
     shade = np.clip(normal_map.normals_in_camera @ _LIGHT_IN_CAMERA.astype(np.float32), 0, 1)
     shade = np.where(normal_map.mask, 0.25 + 0.75 * shade, 0.0)
-    square = (np.asarray(template_pixels) // options.square_px).astype(np.int64).sum(axis=1) % 2
+    square = (np.asarray(template_pixels) // _SQUARE_PX).astype(np.int64).sum(axis=1) % 2
     vertices, pixels = np.asarray(vertices_in_camera, dtype=np.float64), camera.project(vertices_in_camera)
     whole = faces[(np.ptp(pixels[faces], axis=1) < _LONGEST_EDGE_PX).all(axis=1)]
     origins, rays = (each.reshape(-1, 3) for each in pixel_rays(camera, camera.pixel_grid()))

@@ -58,6 +58,7 @@ _ORIENTATION, _EXIF_IFD, _COLOUR_SPACE, _SRGB, _FOCAL_35MM = 274, 0x8769, 0xA001
 _GAMMA, _INTEROPERABILITY_IFD, _INDEX, _ADOBE_RGB = 0xA500, 0xA005, 1, "R03"
 _BMP_PROFILE = b"DEBM"
 _BMP_SRGB = (b"BGRs", b" niW")  # Windows' own colour space is sRGB
+_BMP_MASKS, _BMP_BGRA = (3, 6), (0xFF0000, 0xFF00, 0xFF, 0xFF000000)
 _XMP = ("xmp", "XML:com.adobe.xmp")
 _UNREAD = (struct.error, ValueError, KeyError, TypeError, SyntaxError, OSError)  # of damaged EXIF data
 _DIAGONAL_MM = 43.27  # of 24×36 mm
@@ -172,7 +173,7 @@ def _samples(data: bytes, header: "ImageHeader", path: Path | str, error: type[B
             pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error:
         pixels = None
-    if pixels is None and header.tiled:  # of which OpenCV 5.0 reads few
+    if pixels is None and header.format == "TIFF":  # tiles, and compression that OpenCV does not know
         pixels = _decoded_by_tifffile(data, header, path, error)
     if pixels is None:
         raise error(f"{path}: the {header.format} file is damaged or cut off")
@@ -183,13 +184,16 @@ def _decoded_by_tifffile(
     data: bytes, header: "ImageHeader", path: Path | str, error: type[BadInput]
 ) -> Array:
     """Return half floats, or channels stored apart, as OpenCV does others: upright and in its order."""
+    import lzma
+
     import tifffile
 
+    damages = (*_UNREAD, RuntimeError, ArithmeticError, EOFError, zlib.error, lzma.LZMAError)
     try:
         with tifffile.TiffFile(io.BytesIO(data)) as tiff:
             page: Any = tiff.pages[0]
             values: Array = page.asarray()
-    except (ValueError, KeyError, TypeError, RuntimeError, OSError, ArithmeticError, struct.error) as problem:
+    except damages as problem:
         raise error(
             f"{path}: its samples are damaged, or compressed in a way that is not read; save them without "
             "compression"
@@ -260,7 +264,7 @@ class ImageHeader:
     format: its name. width, height: as stored, pixels. channels: alpha included. bits: per sample. chroma:
     subsampling (JPEG, WebP). stated: what else it states. mosaic_at: byte of a TIFF that states a Bayer
     mosaic, 0 for none. bayer: its pattern, None for none or one that is not stated. planar: the channels of a
-    TIFF are stored apart. tiled: its pixels are stored in tiles.
+    TIFF are stored apart.
     """
 
     format: str
@@ -274,7 +278,6 @@ class ImageHeader:
     mosaic_at: int = 0
     bayer: Bayer | None = None
     planar: bool = False
-    tiled: bool = False
 
 
 # Size and sample depth of an image from its first bytes, before any pixel is decoded.
@@ -328,6 +331,8 @@ def _by_pillow(data: bytes, name: str, chunks: dict[bytes, bytes], error: type[B
     format_name = next((known for known, magic in _BY_PILLOW.items() if data.startswith(magic)), None)
     if format_name is None or (format_name == "WEBP" and data[8:12] != b"WEBP"):
         raise error(f"{name}: is not a PNG, TIFF, JPEG, BMP, WebP or EXR image")
+    if format_name == "BMP" and _has_masks(data):
+        raise error(f"{name}: stores colours by masks of its own; save it with 24 bits a pixel, or as PNG")
     try:
         image = readers[format_name](io.BytesIO(data))
     except Image.DecompressionBombError as problem:  # of a size that no file of its format can have
@@ -340,7 +345,7 @@ def _by_pillow(data: bytes, name: str, chunks: dict[bytes, bytes], error: type[B
         width=image.width,
         height=image.height,
         channels=3 if image.mode == "P" else len(image.getbands()),
-        bits=16 if image.tile and "16" in str(image.tile[0][3]) else 8,
+        bits=16 if format_name == "PNG" and image.tile and "16" in str(image.tile[0][3]) else 8,
         chroma=chroma,
     )
     if b"eXIf" in chunks:  # Pillow would decode the whole PNG to find one behind the picture
@@ -356,9 +361,15 @@ def _stated_by(image: Any, codes: bytes, curve: str) -> Stated:
     """
     said = image.info
     turn, transfer, focal_mm = UPRIGHT, curve, 0.0
+    density = said.get("aspect") or said.get("dpi") or (1, 1)
+    if said.get("jfif_unit") == 0:
+        density = said["jfif_density"]
     if "exif" in said or any(key in said for key in _XMP):
         with contextlib.suppress(*_UNREAD):
-            turn, transfer, focal_mm = _stated_by_exif(image.getexif())
+            exif = image.getexif()
+            turn, transfer, focal_mm = _stated_by_exif(exif)
+            if exif.get(_ACROSS) != exif.get(_DOWN):
+                density = float(exif[_ACROSS]), float(exif[_DOWN])
     if said.get("gamma"):
         transfer = f"gamma:{1 / said['gamma']:.3g}"
     if "srgb" in said:
@@ -367,9 +378,6 @@ def _stated_by(image: Any, codes: bytes, curve: str) -> Stated:
         transfer = curve_of_profile(said["icc_profile"])
     if codes:
         transfer = TRANSFER_NAMES.get(codes[1], "") if codes[3] else "of limited range"
-    density = said.get("aspect") or said.get("dpi") or (1, 1)
-    if said.get("jfif_unit") == 0:
-        density = said["jfif_density"]
     return Stated(
         transfer="linear" if transfer == "gamma:1" else transfer,
         orientation=turn,
@@ -410,6 +418,13 @@ def _pictures(image: Any) -> int:
             image.seek(number)
             alike += image.size == size
     return max(1, alike)
+
+
+def _has_masks(data: bytes) -> bool:
+    """Tell whether a bitmap stores other than a byte a colour, or the colours in an order of its own."""
+    size, bits, packing = struct.unpack_from("<I10xHI", data, 14)
+    is_bgra = size >= 56 and struct.unpack_from("<4I", data, 54) == _BMP_BGRA
+    return size >= 40 and (bits == 16 or (packing in _BMP_MASKS and not is_bgra))
 
 
 def _curve_of_bmp(data: bytes) -> str:
@@ -468,7 +483,6 @@ def _tiff(stream: BinaryIO, name: str, error: type[BadInput]) -> ImageHeader:
                 bits=int(bits[0] if isinstance(bits, tuple) else bits),
                 floating=page.sampleformat == 3,
                 stated=_stated_by_tiff(tiff, page, stream),
-                tiled=bool(page.is_tiled),
                 planar=page.samplesperpixel > 1 and page.planarconfig != 1,  # which OpenCV would interleave
                 mosaic_at=page.tags[_PHOTOMETRIC].valueoffset if page.photometric == _MOSAIC else 0,
                 bayer=_BAYER_BY_CODES.get(bytes(page.tags.valueof(_CFA_PATTERN, b""))),

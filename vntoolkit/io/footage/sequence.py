@@ -20,6 +20,7 @@ _VIDEO_SUFFIXES = (".mkv", ".mp4", ".mov", ".avi", ".webm", ".mxf", ".m4v")
 _EXPECTED = "expected a video, an image, a folder of images, or a pattern such as frame_%04d.png"
 _PRINTF = re.compile(r"%(0?)(\d*)d")
 _LARGEST_NUMBER = 10**6  # a number beyond is a moment or a serial number, not a count of frames
+_PERIODS = (0, 24, 60, 99, 100, 999, 1000, 9999, 10000)  # of one count; of clocks; of counters from 1 or 0
 _NAMED = 5  # files named in one message
 
 
@@ -173,9 +174,10 @@ def _in_folder(folder: Path) -> tuple[tuple[Path, ...], tuple[Path, ...]]:
 
 
 def _takes(files: list[Path]) -> list[list[Path]]:
-    """Return the files of one pattern apart, where each take or camera counts anew from one number.
+    """Return the files of one pattern apart, where each take or camera counts for itself.
 
-    Numbers that do not count, such as those of a clock, part nothing.
+    Numbers that do not count, such as those of a clock, part nothing, nor does a count that goes on from one
+    number before it to the next, or begins anew there as clocks and cameras do.
     """
     numbers = np.array([[int(number) for number in re.findall(r"\d+", path.name)] for path in files])
     changing = np.flatnonzero((numbers != numbers[0]).any(axis=0))
@@ -186,8 +188,11 @@ def _takes(files: list[Path]) -> list[list[Path]]:
         takes[tuple(row[:-1])].append(k)
     counts = [np.sort(numbers[take, changing[-1]]) for take in takes.values()]
     steps = np.concatenate([np.diff(count) for count in counts])
+    if not len(steps) or not steps.min() or (steps % steps.min()).any():
+        return [files]
     begin_alike = len({int(count[0]) for count in counts}) == 1
-    if not begin_alike or not len(steps) or not steps.min() or (steps % steps.min()).any():
+    gaps = [int(before[-1] + steps.min() - after[0]) for before, after in pairwise(counts)]
+    if not begin_alike and not set(gaps).difference(_PERIODS):
         return [files]
     return [[files[k] for k in take] for take in takes.values()]
 

@@ -367,8 +367,8 @@ def _ffv1_stream(container: Any, frame: Array, frame_rate_hz: float) -> Any:
         raise BadCapture(f"video: expected (h, w, 3) uint8 or uint16 frames, got {frame.shape} {frame.dtype}")
     # 16 slices let two threads work on a frame; Rice coding decodes twice as fast as range coding.
     options = {"level": "3", "slicecrc": "1"}
-    if min(frame.shape[:2]) >= 4:  # four rows of four slices, of a pixel at least
-        options["slices"] = "16"
+    # four rows of four slices, of a pixel at least; FFmpeg's own two columns do not go into every picture
+    options["slices"] = "16" if min(frame.shape[:2]) >= 4 else "1"
     if frame.dtype == np.uint8:
         options["coder"] = "rice"
     stream = container.add_stream("ffv1", rate=_rational(frame_rate_hz), options=options)

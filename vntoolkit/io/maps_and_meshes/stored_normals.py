@@ -119,8 +119,8 @@ def stored_normals(samples: Array, mask: Mask | None, name: str, *, is_own: bool
     median = float(np.median(lengths[inside]))
     if abs(median - 1.0) > _ROUNDED:
         notes.append(f"vectors of length {median:.2f} (median) were brought to length 1")
-    unit = (vectors / np.maximum(lengths, _SHORTEST)[..., None]).astype(np.float32, copy=False)
-    unit[~inside] = 0
+    unit = np.zeros(vectors.shape, np.float32)
+    np.divide(vectors, lengths[..., None], out=unit, where=inside[..., None], casting="same_kind")
     return StoredNormals(vectors=unit, mask=inside, notes=tuple(notes))
 
 
@@ -152,7 +152,7 @@ def _decoded(samples: Array, inside: Mask) -> tuple[FloatArray, str]:
     """Return vectors from samples: n = value · 2 / full − 1, or floats as they are; and a note."""
     if np.issubdtype(samples.dtype, np.integer):
         return samples * (2.0 / np.iinfo(samples.dtype).max) - 1.0, ""
-    plain = np.nan_to_num(samples.astype(np.float64))
+    plain = np.where(inside[..., None], samples, 0).astype(np.float64).clip(-_LONGEST, _LONGEST)
     shifted, some = 2.0 * plain - 1.0, plain[inside]
     if len(some) and some.min() >= 0 and _off(2.0 * some - 1.0) < _off(some):
         return shifted, "floats from 0 to 1 were read as n = 2 · value − 1"

@@ -1,7 +1,8 @@
 """BVH motion capture: read as exporters write it, written with three rotations a joint.
 
 A joint may have any channels, from none to three positions and three rotations. Words are told apart by white
-space, so that lines may be wrapped; numbers may have decimal commas, and the text may be UTF-8 or UTF-16.
+space, so that lines may be wrapped or joined; numbers may have decimal commas, and the text may be UTF-8 or
+UTF-16.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ _MAX_HEADER_LINE = 4096  # characters
 _MOVED = 1e-3  # of the skeleton's size: less is the rounding of files
 _WRITTEN_ORDER = "ZXY"
 _CHANNELS = {f"{axis}{kind}" for axis in "xyz" for kind in ("position", "rotation")}
+_WORD = re.compile(r"[{}]|[^\s{}]+")
 _TIMING = re.compile(r"\s*Frames\s*:\s*(\S+)\s+Frame\s*Time\s*:\s*(\S+)", re.IGNORECASE)
 
 
@@ -47,21 +49,34 @@ class _Joint:
 
 
 class _Words:
-    """The words of a hierarchy with their lines, read on demand, so that a flood of them takes no memory."""
+    """The words of a hierarchy with their lines, read on demand, so that a flood of them takes no memory.
+
+    after: the line behind MOTION, once that is read.
+    """
 
     def __init__(self, file: TextIOWrapper, name: str) -> None:
-        self.name, self.line = name, 0
+        self.name, self.line, self.after = name, 0, ""
         self._words = self._read(file)
 
     def _read(self, file: TextIOWrapper) -> Iterator[str]:
-        whole = True
+        rest, before, whole = "", "", True
         while piece := file.readline(_MAX_HEADER_LINE):
             self.line += whole
-            whole = piece.endswith("\n")
-            words = piece.replace("{", " { ").replace("}", " } ").split()
-            yield from words
-            if words[:1] == ["MOTION"]:
-                return
+            whole, piece, rest = piece.endswith("\n"), rest + piece, ""
+            for found in _WORD.finditer(piece):
+                word = found[0]
+                is_cut = found.end() == len(piece) and word not in "{}"
+                if is_cut and len(word) < _MAX_HEADER_LINE:
+                    rest = word
+                    break
+                if word.upper() == "MOTION" and before == "}":
+                    self.after = piece[found.end() :]
+                    yield "MOTION"
+                    return
+                yield word
+                before = word
+        if rest:
+            yield rest
         raise self.fault("no MOTION section: the file is truncated or not BVH")
 
     def fault(self, what: str) -> BadMotion:
@@ -107,7 +122,8 @@ def read_bvh(path: Path) -> Motion:
     with path.open(encoding=encoding, errors="replace") as file:
         words = _Words(file, path.name)
         joints = _read_hierarchy(words)
-        values, frame_s = _read_frames(words, file.read(), sum(len(j.channels or ()) for j in joints))
+        width = sum(len(joint.channels or ()) for joint in joints)
+        values, frame_s = _read_frames(words, words.after + file.read(), width)
     offsets = np.array([joint.offset for joint in joints])
     rotations = np.empty((len(values), len(joints), 4))
     root_positions = np.tile(offsets[0], (len(values), 1))
@@ -163,7 +179,7 @@ def _read_hierarchy(words: _Words) -> list[_Joint]:
     names: set[str] = set()
     if (word := words.next()).upper() != "HIERARCHY":
         raise words.fault(f"expected HIERARCHY, got '{word[:40]}'")
-    while (word := words.next()) != "MOTION":
+    while (word := words.next()).upper() != "MOTION":
         match word.upper():
             case "ROOT" | "JOINT":
                 joints.append(_begin_joint(words, word.upper(), joints, open_joints, names))
@@ -258,7 +274,7 @@ def _read_frames(words: _Words, text: str, channels: int) -> tuple[FloatArray, f
     except (ValueError, DeprecationWarning):
         values = np.array([np.nan])
     if not np.isfinite(values).all():
-        words.line += 1 + text.count("\n", 0, timing.end())
+        words.line += text.count("\n", 0, timing.end())
         for line in numbers.split("\n"):
             for word in line.split():
                 words.number(word)  # the first that is none raises

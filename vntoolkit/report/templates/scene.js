@@ -396,10 +396,11 @@ async function show(index) {
 let playing = 0;
 function stop() { playing = 0; $("play").textContent = "play"; }
 async function play() {  // a frame is shown before the next is asked for, however long that takes
-  const run = playing = now(), count = setup.numbers.length;
+  const run = playing = now(), count = setup.numbers.length, times = setup.times_s;
   $("play").textContent = "pause";
   while (playing === run) {
-    const due = now() + 1000 / Math.min(setup.rate, 30), next = (wanted + 1) % count;
+    const next = (wanted + 1) % count, mean = times[count - 1] / Math.max(1, count - 1);
+    const due = now() + 1000 * Math.max(next ? times[next] - times[wanted] : mean, 1 / 30);
     await show(next);
     frame((next + 1) % count).catch(() => {});
     await sleep(Math.max(0, due - now()));

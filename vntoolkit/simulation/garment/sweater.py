@@ -12,12 +12,12 @@ from scipy import sparse
 from scipy.ndimage import gaussian_filter
 
 from vntoolkit.arrays import Faces, FloatArray, IntArray, Points, Points2
-from vntoolkit.native import njit
+from vntoolkit.geometry.mesh import vertex_normals
 from vntoolkit.options.simulation import SceneOptions
 from vntoolkit.simulation.garment.solver import THICKNESS_M, Capsules, ClothSolver, Garment
 from vntoolkit.simulation.lights import studio_camera, studio_centre, studio_lights
 from vntoolkit.simulation.scene import Detail, Scene, SceneSurface
-from vntoolkit.simulation.shapes import read_shape
+from vntoolkit.simulation.shapes import read_shape, smooth_step
 
 _FRAMES = 1000
 _FIELD_WIDTH_M = 1.42
@@ -154,8 +154,8 @@ def _refined(
 
     def vertices(frame: int) -> Points:
         fine = refine @ garment.cage(frame)  # type: ignore[operator]
-        raise_along_normals(fine, faces, relief)
-        return (fine - _MIDDLE_M) * [1.0, -1.0, -1.0] + studio_centre()
+        raised = fine + relief[:, None] * vertex_normals(fine, faces)
+        return (raised - _MIDDLE_M) * [1.0, -1.0, -1.0] + studio_centre()
 
     return vertices
 
@@ -184,8 +184,8 @@ class DancingGarment:
 
     def body(self, frame: int) -> Capsules:
         """Return the dancer's body; before frame 0 it fades in from the rest pose."""
-        fade = np.clip((frame + _FADE_FRAMES) / _FADE_FRAMES, 0.0, 1.0)
-        return body_from_pose(pose_at(frame / 60.0, self._phases, float(fade * fade * (3.0 - 2.0 * fade))))
+        fade = float(smooth_step((frame + _FADE_FRAMES) / _FADE_FRAMES))
+        return body_from_pose(pose_at(frame / 60.0, self._phases, fade))
 
     def cage(self, frame: int) -> Points:
         """Return (n, 3) the garment's vertices, studio frame of the body, metres."""
@@ -308,30 +308,6 @@ def _edge_points(
     columns = np.concatenate([edges[:, 0], edges[:, 1], opposite[inner]])
     weights = np.concatenate([near, near, np.full(np.count_nonzero(inner), 0.125)])
     return sparse.csr_matrix((weights, (rows, columns)), shape=(len(edges), count))
-
-
-@njit(cache=True)
-def raise_along_normals(vertices: Points, faces: Faces, relief: FloatArray) -> None:
-    """Move every vertex by its `relief` along its area-weighted normal, in place."""
-    normals = np.zeros_like(vertices)
-    for f in range(len(faces)):
-        i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
-        ax = vertices[j, 0] - vertices[i, 0]
-        ay = vertices[j, 1] - vertices[i, 1]
-        az = vertices[j, 2] - vertices[i, 2]
-        bx = vertices[k, 0] - vertices[i, 0]
-        by = vertices[k, 1] - vertices[i, 1]
-        bz = vertices[k, 2] - vertices[i, 2]
-        nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
-        for v in (i, j, k):
-            normals[v, 0] += nx
-            normals[v, 1] += ny
-            normals[v, 2] += nz
-    for v in range(len(vertices)):
-        length = np.sqrt(normals[v, 0] ** 2 + normals[v, 1] ** 2 + normals[v, 2] ** 2)
-        step = relief[v] / max(length, 1e-30)
-        for c in range(3):
-            vertices[v, c] += step * normals[v, c]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from vntoolkit.arrays import Colours, Faces, FloatArray, IntArray, Points, Points2, read_only
 from vntoolkit.simulation.scene import SCENES, Scene
-from vntoolkit.simulation.shapes import read_shape
+from vntoolkit.simulation.shapes import read_shape, smooth_step
 
 SKIN, CAVITY, LID_RIM, EYES, UPPER_TEETH, LOWER_TEETH, TONGUE = range(7)
 EYE_CENTRE = (3.15, 0.0, 6.75)
@@ -110,7 +110,7 @@ class HeadRig:
         self._jaw = np.flatnonzero(head.jaw > 0)
         self._lids = [np.flatnonzero((head.lids != 0) & (np.sign(x) == sign)) for sign in (-1.0, 1.0)]
         self._eyes = [(head.part == EYES) & (np.sign(x) == sign) for sign in (-1.0, 1.0)]
-        self._neck = np.where(y > -9.0, 1.0, _smooth((y + 16.5) / 7.5))
+        self._neck = np.where(y > -9.0, 1.0, smooth_step((y + 16.5) / 7.5))
 
     def vertices(self, expression: "Expression", pose: "HeadPose") -> Points:
         """Return all vertices; the shoulders' end of the neck stays where it is."""
@@ -162,11 +162,6 @@ def _rotated_about_x(points: Points, centre: FloatArray, angle: FloatArray) -> P
     y, z = points[:, 1] - centre[1], points[:, 2] - centre[2]
     c, s = np.cos(angle), np.sin(angle)
     return np.stack([points[:, 0], centre[1] + c * y - s * z, centre[2] + s * y + c * z], axis=1)
-
-
-def _smooth(x: FloatArray) -> FloatArray:
-    x = np.clip(x, 0.0, 1.0)
-    return x * x * (3.0 - 2.0 * x)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -250,8 +245,7 @@ def turning_pose(share: float, widest_deg: float) -> HeadPose:
 
 def _window(time: float, start: float, end: float, ramp: float) -> float:
     """Return 1 between start and end, smoothly 0 outside, `ramp` seconds for each flank."""
-    share = np.clip(min(time - start, end - time) / ramp, 0.0, 1.0)
-    return float(share * share * (3.0 - 2.0 * share))
+    return float(smooth_step(min(time - start, end - time) / ramp))
 
 
 def _bell(x: float) -> float:

@@ -20,6 +20,7 @@ from vntoolkit.simulation.head.rig import (
 )
 from vntoolkit.simulation.lights import studio_camera, studio_centre, studio_lights
 from vntoolkit.simulation.scene import Detail, Scene, SceneSurface
+from vntoolkit.simulation.shapes import smooth_step
 
 _TURN_FRAMES, _WIDEST_TURN_DEG = 90, 68.0
 _FACE_FRAMES = 1000
@@ -182,11 +183,11 @@ def hair_share(points: Points) -> FloatArray:
     azimuth = np.abs(azimuth_deg(points))
     line = np.interp(azimuth, HAIRLINE_DEG, HAIRLINE_CM)
     ripple = 0.10 * np.sin(1.7 * azimuth) + 0.14 * np.sin(0.43 * azimuth + 2.0) + 0.08 * np.sin(1.1 * azimuth)
-    share = np.clip((points[:, 1] - line - ripple) / _HAIR_EDGE_CM, 0.0, 1.0)
+    share = smooth_step((points[:, 1] - line - ripple) / _HAIR_EDGE_CM)
     in_ear = (
         (np.abs(points[:, 0]) > 6.75) & (points[:, 1] < 2.9) & (points[:, 2] > -2.6) & (points[:, 2] < 1.4)
     )
-    return np.where(in_ear, 0.0, share * share * (3.0 - 2.0 * share))
+    return np.where(in_ear, 0.0, share)
 
 
 def _hair_on_texels(azimuth: FloatArray, height: FloatArray) -> FloatArray:
@@ -236,12 +237,9 @@ def _brows(rng: np.random.Generator, azimuth: FloatArray, height: FloatArray) ->
     middle = 1.85 + 0.95 * np.sin(np.clip(along, 0.0, 1.0) * np.pi * 0.72) - 0.35 * np.clip(along, 0, 1)
     thickness = 0.46 * np.clip(1.0 - 0.6 * np.clip(along, 0.0, 1.0), 0.1, 1.0)
     body = (
-        np.exp(-(((height - middle) / thickness) ** 4)) * _smooth(along / 0.12) * _smooth((1.0 - along) / 0.2)
+        np.exp(-(((height - middle) / thickness) ** 4))
+        * smooth_step(along / 0.12)
+        * smooth_step((1.0 - along) / 0.2)
     )
     hairs = gaussian_filter(rng.standard_normal((ROWS, COLUMNS)), (2.2, 1.2), mode=("nearest", "wrap"))
     return np.asarray(body * np.clip(0.86 + 0.18 * hairs / hairs.std(), 0.0, 1.0))
-
-
-def _smooth(x: FloatArray) -> FloatArray:
-    x = np.clip(x, 0.0, 1.0)
-    return np.asarray(x * x * (3.0 - 2.0 * x))
