@@ -91,7 +91,7 @@ LINES = {
     "report": 3140,
     "shadows": 3080,
     "simulation": 3540,
-    "skinning": 2060,
+    "skinning": 2050,
     "tactile": 2110,
     "tracking": 3290,
 }
