@@ -47,16 +47,16 @@ if ! "$python" -c 'import sys; sys.exit(sys.version_info < (3, 11))'; then
     exit 1
 fi
 
-# 2.3 GB of packages and 0.9 GB that pip unpacks on the way.
+# 3.0 GB of packages and 0.9 GB that pip unpacks on the way.
 free_gb=$(df -Pk . | awk 'NR == 2 { print int($4 / 1000000) }')
-if [ ! -x .venv/bin/python ] && [ "$free_gb" -lt 4 ]; then
-    echo "set-up: 4 GB of disk are needed for the Python packages, $free_gb GB are free in $(pwd)" >&2
+if [ ! -x .venv/bin/python ] && [ "$free_gb" -lt 5 ]; then
+    echo "set-up: 5 GB of disk are needed for the Python packages, $free_gb GB are free in $(pwd)" >&2
     echo "set-up: free some space or move the checkout to another disk, then run the same command again" >&2
     exit 1
 fi
 
 [ -x .venv/bin/python ] || "$python" -m venv .venv
-echo "set-up: installing the locked Python packages into .venv (about 2.3 GB, once)"
+echo "set-up: installing the locked Python packages into .venv (about 3.0 GB, once)"
 .venv/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
 # the build backend is one of the locked packages: with isolation pip would fetch the newest one, unpinned
 .venv/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .

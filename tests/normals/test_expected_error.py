@@ -176,6 +176,25 @@ def test_of_two_lights_and_a_normal_behind_the_third_the_bound_is_how_far_it_dep
     assert (other.error_deg[80:160, 80:160] > 70).all()  # one light tells next to nothing
 
 
+@pytest.mark.parametrize("label", [0, 4])
+@pytest.mark.parametrize("tilt_deg", [0, 30, 60, 80])
+def test_of_one_light_or_none_the_bound_holds_nine_tenths_of_the_normals_that_face_the_camera(
+    label, tilt_deg
+):
+    y, x = np.mgrid[-1:1:201j, -1:1:201j]
+    z = -np.sqrt(1 - np.minimum(x**2 + y**2, 1))
+    sphere = np.stack([x, y, z], axis=-1)[x**2 + y**2 < 1]
+    leaning = np.array([np.sin(np.radians(tilt_deg)), 0, -np.cos(np.radians(tilt_deg))])
+    away = np.degrees(np.arccos(np.clip(sphere @ leaning, -1, 1)))
+    frame = LinearFrame(rgb=colours()[:32, :32])
+    given = NormalMap(normals_in_camera=np.broadcast_to(leaning, (32, 32, 3)), mask=np.ones((32, 32), bool))
+    found = with_expected_error(given, frame, RESPONSE, np.full((32, 32), label, np.uint8))
+    assert (np.abs(found.error_deg - np.percentile(away, 90)) < 2).all()
+    assert found.error_deg.min() > 70
+    doubted = with_doubt(found, np.full((32, 32), 20, np.float32))
+    np.testing.assert_array_equal(doubted.error_deg, found.error_deg)  # nothing is not made worse
+
+
 def test_the_residual_of_the_rig_is_part_of_it_and_the_weight_follows():
     light = colours()
     plain, _ = seen(light)

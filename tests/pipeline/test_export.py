@@ -9,8 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from pxr import Usd, UsdGeom
+from rerun.chunk import RrdReader
 
 from tests.dome_result import DomeResult, dome_result
+from tests.io.test_recordings import messages_of
 from tests.skinning.test_glb_export import accessor, chunks
 from tests.usd_reading import complaints
 from vntoolkit.errors import BadInput
@@ -282,6 +284,43 @@ def test_points_are_every_pixel_with_a_depth(dome_result: DomeResult, tmp_path: 
     np.testing.assert_allclose(in_file, graphics_from_camera(seen, MeshUpAxis.Z), atol=1e-4)
 
 
+def test_stl_holds_the_triangles_in_millimetres(dome_result: DomeResult, tmp_path: Path) -> None:
+    options = {"mesh": ExportedSurface.FRAMES, "scale": 0.002}
+    written = (exported(dome_result, tmp_path, ExportFormat.STL, **options) / "000001.stl").read_bytes()
+    mesh = read_mesh(dome_result.folder / "mesh/000001.ply")
+    kind = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+    triangles = np.frombuffer(written, kind, offset=84)
+    assert np.frombuffer(written, "<u4", 1, 80) == len(triangles) == len(mesh.faces)
+    in_file = graphics_from_camera(mesh.vertices)[mesh.faces]
+    np.testing.assert_allclose(triangles["corners"], 2 * in_file, atol=1e-4)
+    normals = face_normals(in_file.reshape(-1, 3), np.arange(3 * len(in_file)).reshape(-1, 3))
+    np.testing.assert_allclose(
+        triangles["normal"], normals / np.linalg.norm(normals, axis=1)[:, None], atol=1e-3
+    )
+
+
+def test_recordings_of_a_tracked_surface(dome_result: DomeResult, tmp_path: Path) -> None:
+    """All opened frames at their times: with pictures and mesh for Rerun, with the depth as messages."""
+    job = {"folder": dome_result.folder, "frames": "::2"}
+    rrd = ExportJob(options=ExportOptions(to=ExportFormat.RRD, scale=0.001), out=tmp_path / "a.rrd", **job)
+    summary = export(rrd)
+    assert summary.is_tracked
+    found: dict[str, list[float]] = {}
+    for chunk in RrdReader(summary.out).stream():
+        columns = chunk.to_record_batch().to_pydict()
+        found.setdefault(chunk.entity_path, []).extend(t.total_seconds() for t in columns.get("time", []))
+    times = np.array([0, 2, 4]) / 30
+    for name in ("/picture", "/normals", "/depth", "/surface", "/error_deg"):
+        np.testing.assert_allclose(sorted(found[name]), times, atol=1e-8)
+    assert "/contact" not in found
+    out = export(ExportJob(options=ExportOptions(to=ExportFormat.MCAP), **job)).out
+    depths = [each for each in messages_of(out) if each[0] == "/vntoolkit/depth"]
+    np.testing.assert_allclose([time for _, time, _ in depths], 1e9 * times, atol=1)
+    stored = read_depth_map(dome_result.folder / "depth" / "000004.exr")
+    written = np.frombuffer(depths[2][2].data, "<f4").reshape(stored.depth.shape)
+    np.testing.assert_array_equal(written[stored.mask], stored.depth[stored.mask])
+
+
 def test_cleaned_meshes_have_the_faces_asked_for(dome_result: DomeResult, tmp_path: Path) -> None:
     cleaning = CleanOptions(most_faces=300)
     with pytest.raises(BadInput, match="add --mesh frames"):
@@ -355,6 +394,7 @@ def test_heights_without_a_scale_are_in_pixels_and_no_files_of_micrometres(
         (ExportFormat.CURVATURE, {"longest": 1.0}, "curvature: a form is not removed from it"),
         (ExportFormat.PROFILE, {}, "--line COLUMN ROW COLUMN ROW and --to profile belong together"),
         (ExportFormat.HEIGHTS, {"line": (0.0, 0.0, 1.0, 1.0)}, "--to profile belong together"),
+        (ExportFormat.MCAP, {"units": FileUnit.MM}, "mcap: its depth is in the result's own unit"),
     ],
 )
 def test_refused_options_for_inspection(to: ExportFormat, options: dict[str, object], line: str) -> None:

@@ -15,7 +15,7 @@ from vntoolkit.geometry.rectification import Rectification
 from vntoolkit.io.footage.image_writing import write_png
 from vntoolkit.io.rigs import read_rig, write_rig
 from vntoolkit.options.calibration import PressOptions
-from vntoolkit.pipeline.calibrate_presses import PressJob, calibrate_presses
+from vntoolkit.pipeline.calibrate_presses import PressJob, PressReader, calibrate_presses
 from vntoolkit.pipeline.gel import Gel
 
 BALL = PressOptions(ball_radius_mm=2.4, pixel_mm=0.1)
@@ -62,6 +62,28 @@ def test_a_raw_frame_becomes_depth_in_millimetres_and_contact(rig_file: Path, un
     rest = gel(untouched)
     assert rest.deepest_px is None
     assert rest.area_mm2 == rest.deepest_mm == 0
+
+
+def test_a_table_tells_the_balls_of_presses(tmp_path: Path, untouched: np.ndarray) -> None:
+    """By image, by pattern or by folder; the ball that is not listed has the radius of the option."""
+    job, table = write_presses(tmp_path, untouched), tmp_path / "balls.txt"
+    table.write_text("press-0.png 2.41\n\npress-1?.png 2.39\n")
+    job = replace(job, ball_radii=table)
+    listed = {"press-0.png": 2.41, "press-10.png": 2.39, "press-11.png": 2.39}
+    assert PressReader(job).ball_radii_mm == listed
+    assert calibrate_presses(job, BALL).ball_radii_mm == (2.39, 2.4, 2.41)
+    table.write_text("presses 2.41")
+    assert set(PressReader(job).ball_radii_mm.values()) == {2.41}
+    for text, line in (
+        ("press-99.png 2", "press-99.png is no image of .*, such as press-0.png"),
+        ("press-0.png 2\npress-?.png 3", "lists press-0.png again; expected each press once"),
+        ("press-0.png two", "line 1: expected NAME and a radius in mm, got 'press-0.png two'"),
+        ("2.4", "line 1: expected NAME and a radius"),
+        ("press-0.png -1", "line 1: expected NAME and a radius"),
+    ):
+        table.write_text(text)
+        with pytest.raises(BadInput, match=line):
+            PressReader(job).ball_radii_mm  # noqa: B018 - refused when it is asked for
 
 
 def test_what_contradicts_the_rig_is_said(rig_file, untouched, rng, caplog):

@@ -15,7 +15,7 @@ from vntoolkit.photometry.response import LightResponse
 from vntoolkit.shadows import surface
 from vntoolkit.shadows.albedo import albedo_from_lit, fill_smoothly
 from vntoolkit.shadows.detector import ShadowDetector
-from vntoolkit.shadows.recovery import confidence_weight, recover_normals
+from vntoolkit.shadows.recovery import recover_normals
 from vntoolkit.shadows.roots import spread_of_albedo
 from vntoolkit.shadows.surface import SurfaceOptions, solve_surface
 from vntoolkit.solvers import (
@@ -289,15 +289,15 @@ def test_albedo_ignores_outliers_and_shadow() -> None:
     assert (albedo_from_lit(length, np.zeros((64, 64), bool)) == 1.0).all()
 
 
-def test_weights_fall_with_shadow_saturation_gloss_and_paint() -> None:
-    labels = np.array([[7, 6, 2, 0, 7, 7]], np.uint8)
-    length = np.array([[1.0, 1.0, 1.0, 1.0, 1.0, 2.5]])
-    clipped = np.array([[False, False, False, False, True, False]])
-    weight = confidence_weight(labels, clipped, length, np.ones((1, 6)))[0]
-    assert weight[0] == 1.0
-    assert (np.diff(weight[:4]) < 0).all()
-    assert weight[4] == pytest.approx(0.1)
-    assert weight[5] < 0.2
+def test_weights_fall_with_the_lights_that_are_missing(stage) -> None:
+    labels = np.full(stage.mask.shape, 7, np.uint8)
+    labels[20:40], labels[40:60], labels[60:80] = 6, 2, 0
+    weight = recover_normals(
+        stage.frame, labels, stage.response, stage.mask, method=RecoveryMethod.TWO_LIGHTS
+    ).weight
+    assert weight is not None
+    assert (np.diff([weight[row, 80] for row in (10, 30, 50, 70)]) < 0).all()
+    assert weight[10, 80] == 1.0
 
 
 def test_refusals(stage) -> None:

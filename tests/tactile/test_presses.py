@@ -20,15 +20,17 @@ SIZE = (90, 120)
 OPTIONS = PressOptions(ball_radius_mm=2.4, pixel_mm=0.1, contact_share=0.9, samples=200)
 
 
-def true_normals(press: Press) -> np.ndarray:
-    whole = PressOptions(ball_radius_mm=2.4, pixel_mm=0.1, contact_share=1.0)
+def true_normals(press: Press, radius_mm: float = 2.4) -> np.ndarray:
+    whole = PressOptions(ball_radius_mm=radius_mm, pixel_mm=0.1, contact_share=1.0)
     normals, inside = normals_of_press(press, whole, SHAPE)
     return np.where(inside[..., None], normals, [0, 0, -1])
 
 
-def pressed_gel(press: Press, rng: np.random.Generator, nearness: float = 0.0) -> np.ndarray:
+def pressed_gel(
+    press: Press, rng: np.random.Generator, nearness: float = 0.0, radius_mm: float = 2.4
+) -> np.ndarray:
     """The change of colour of a press: M (n − n0), brighter towards one corner, bent, with noise and dots."""
-    change = (true_normals(press) - [0, 0, -1]) @ MATRIX.T
+    change = (true_normals(press, radius_mm) - [0, 0, -1]) @ MATRIX.T
     v, u = np.indices(SHAPE)
     change = change * (1 + nearness * (u - 45 + v - 60) / 60)[..., None]
     change = change + 0.8 * nearness * change**2
@@ -37,9 +39,13 @@ def pressed_gel(press: Press, rng: np.random.Generator, nearness: float = 0.0) -
     return change.astype(np.float32)
 
 
-def samples_of(change: np.ndarray, press: Press, rng: np.random.Generator) -> PressSamples:
+def samples_of(
+    change: np.ndarray, press: Press, rng: np.random.Generator, radius_mm: float = 2.4
+) -> PressSamples:
     untouched = np.broadcast_to(LEVEL, (*SHAPE, 3)).astype(np.float32)
-    return samples_from_press(change, untouched, np.ones(SHAPE, bool), press, OPTIONS, rng)
+    return samples_from_press(
+        change, untouched, np.ones(SHAPE, bool), press, replace(OPTIONS, ball_radius_mm=radius_mm), rng
+    )
 
 
 def random_press(rng: np.random.Generator) -> Press:
@@ -56,6 +62,22 @@ def test_presses_give_the_response(rng) -> None:
     assert fit.quality.method == "presses"
     flat = normals_from_change(np.zeros((1, 3)), np.array([[80.0, 7.0]]), fit.response, fit.gel)
     np.testing.assert_array_equal(flat, [[0, 0, -1]])
+
+
+def test_balls_of_two_radii_give_one_response(rng) -> None:
+    """Taken for one ball, they do not fit: the larger one's slopes are told too steep."""
+    balls = [2.4, 3.6] * 6
+    presses = [random_press(rng) for _ in balls]
+    pictures = [
+        pressed_gel(*pair, 0.0, radius) for *pair, radius in zip(presses, [rng] * 12, balls, strict=True)
+    ]
+    samples = [samples_of(*each[:2], rng, each[2]) for each in zip(pictures, presses, balls, strict=True)]
+    fit = fit_gel_to_presses(samples, LEVEL, SIZE, OPTIONS)
+    np.testing.assert_allclose(fit.response.matrix, MATRIX, atol=0.015)
+    as_one = [replace(part, ball_radius_mm=2.4) for part in samples]
+    assert fit_gel_to_presses(as_one, LEVEL, SIZE, OPTIONS).held_back_deg > 2 * fit.held_back_deg
+    beside = [replace(part, press=replace(part.press, u_px=part.press.u_px - 3)) for part in samples]
+    np.testing.assert_allclose(fit_label_offset(beside, LEVEL, OPTIONS), [3, 0], atol=0.5)
 
 
 def test_near_lamps_and_a_bent_answer_are_fitted_on_presses_not_seen(rng) -> None:

@@ -308,6 +308,9 @@ class PressesArguments(CornerOptions, CurveOptions, AllowOptions, SensorOptions,
     circle: tuple[tuple[str, float, float, float], ...] = ()
     """Name of an image, and u v contact_radius in pixels of the rectified image: the circle of a press that
     was passed over, or found beside its dent. May be given several times."""
+    ball_radii: OptionalFile = named(None)
+    """A text file of lines NAME radius, in millimetres, for balls of several sizes. NAME is an image, a
+    folder of images, or a pattern such as small-*.png."""
     overlay: OptionalFile = named(None)
     """Also write a picture of all presses with their circles over a labelled grid, .png or .svg."""
     label_size: tuple[int, int] | None = None
@@ -334,6 +337,7 @@ def calibrate_presses(asked: PressesArguments) -> Rig:
         background=Path(asked.background),
         labels=asked.labels,
         circles=asked.circle,
+        ball_radii=asked.ball_radii,
         transfer=curve_from_text(asked.transfer),
         sensor=asked.part(SensorOptions),
         rectification=rectification,
@@ -371,8 +375,8 @@ def _report_presses(result: pipeline.PressCalibration, asked: PressesArguments) 
         without = "a dent that is symmetric" if asked.labels is None else "a label"
         say(f"  passed over       {len(result.passed_over)} images without {without}: {names}")
         say("                    (--overlay circles.png draws them, --circle gives one a circle)")
-    radius = asked.ball_radius_mm
-    say(f"  ball              {radius:g} mm in radius, {2 * radius:g} mm across")
+    radii, across = (", ".join(f"{k * r:g}" for r in result.ball_radii_mm) for k in (1, 2))
+    say(f"  ball              {radii} mm in radius, {across} mm across")
     width, height = camera.width * asked.side_mm, camera.height * asked.side_mm
     scale = f"{asked.side_mm:.4g} mm a pixel in u and v, {width:.1f}×{height:.1f} mm"
     say(f"  scale             {scale}; depth is 0 at rest, negative in a dent")

@@ -1,5 +1,6 @@
 """`vntoolkit export`: convert results to the formats of other programs."""
 
+import shlex
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -14,7 +15,7 @@ from vntoolkit.options.shared import FrameOptions, MovedFootageOptions
 from vntoolkit.pipeline.export import ExportJob
 from vntoolkit.pipeline.export import export as run
 
-_SHAPES = (".ply", ".obj", ".glb", ".usd", ".usdc")  # that other programs open
+_SHAPES = (".ply", ".obj", ".stl", ".glb", ".usd", ".usdc")  # that other programs open
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,10 +28,11 @@ class ExportArguments(FrameOptions, MovedFootageOptions, ExportOptions, CleanOpt
     """The folder that `vntoolkit reconstruct` wrote."""
     to: ExportFormat | ExportFormatName  # type: ignore[assignment]
     """The format. usd: one animated file (set the frame rate of Blender's scene to the capture's, since
-    Blender keeps its own). glb: one animated file of a registered surface, else one a frame. ply, obj: a mesh
-    a frame. points: a point cloud a frame as .ply, of all pixels with a depth. npz: arrays. png: 16-bit
+    Blender keeps its own). glb: one animated file of a registered surface, else one a frame. ply, obj, stl: a
+    mesh a frame. points: a point cloud a frame as .ply, of all pixels with a depth. npz: arrays. png: 16-bit
     normal maps. diligent: a folder a frame, laid out like the benchmark's. heights, local-shape, curvature,
-    profile, roughness, sur, x3p: for inspection, see the guide."""
+    profile, roughness, sur, x3p: for inspection, see the guide. rrd: one recording of all, for the Rerun
+    viewer. mcap: depth and contact as messages of ROS 2, at the times of the recording."""
     clean: bool = False
     """Remove small pieces of the meshes and close small holes (pymeshlab). --most-faces and the like imply
     it."""
@@ -72,6 +74,9 @@ def export(asked: ExportArguments) -> Path:
         for path in files:
             if path.suffix == ".csv":
                 write_profile(path.with_suffix(".png"), path)
+    if job.options.to is ExportFormat.RRD:
+        say(f"next: rerun {shlex.quote(str(summary.out))}")
+        return summary.out
     shapes = [path for path in files if path.suffix.lower() in _SHAPES]
     if shapes:
         print_next_program(shapes[0])

@@ -39,7 +39,7 @@ def track(asked: TrackArguments) -> MeshSequence:
     made = write_texture(Path(asked.folder), asked.target, footage=asked.footage, background=asked.background)
     shown = made.texture.albedo or made.texture.normal
     say(f"{shown}: {made.covered:.1%} of the surface from {made.frames} frames, the rest filled")
-    print_next("export", asked.folder, "--to", "usd")
+    print_next("export", str(asked.folder), "--to", "usd")
     return read_mesh_sequence(asked.target)
 
 

@@ -14,8 +14,9 @@ error of M, near lamps. Beside them
   across the plane of the two. The distance from the found normal to the nearer of them counts. So does the
   distance to the other one, which may be the right one, unless found and nearer one both face away from the
   missing light: that explains the shadow. Both hang on the albedo, which the surroundings tell: with it they
-  move in the plane of the two lights, and across it the more, the nearer to it they lie. One light leaves a
-  cone of normals, which tells next to nothing.
+  move in the plane of the two lights, and across it the more, the nearer to it they lie;
+- one light or none tells next to nothing: the true normal may be any that faces the camera. The bound is the
+  angle to nine tenths of those, as the picture of a sphere shows them: the larger, the more the normal leans.
 """
 
 import math
@@ -67,8 +68,10 @@ _OF_LENGTH = 2.75  # radians over log length
 _OF_LENGTHS = _OF_LENGTH / 2.0  # the same, over the root of the mean square in a cell
 _OF_TWO_LIGHTS = 1.2  # radians over the distances to the normals that two lights leave
 _ALBEDO_SPREAD = np.float32(0.03)  # relative standard deviation of lit pixels' albedo about the surroundings'
-# A sphere shows nine tenths of its image within this angle of the axis: what a guess without data is worth.
-_LARGEST_DEG = np.float32(71.6)
+# Nine tenths of a sphere's image lie within this angle of a normal: at grazing incidence, less so much per
+# cosine and so much per squared cosine; to two degrees. It is 71.6 for a normal that faces the camera.
+_UNKNOWN = np.array([133.0, 35.0, 26.4], np.float32)
+_LARGEST_DEG = np.float32(_UNKNOWN[0] - _UNKNOWN[1] - _UNKNOWN[2])
 _LEFT_OUT_PX = 16  # in a row, over which the noise that a surface leaves out is averaged, …
 _KEPT = np.float32(1 / 8)  # … which is not all of it
 
@@ -148,6 +151,7 @@ def _add_doubt(told: Any, doubt: Any, mask: Any, error: Any, weight: Any) -> Non
     for v in prange(len(mask)):
         for u in range(mask.shape[1]):
             e = min(np.sqrt(told[v, u] * told[v, u] + doubt[v, u] * doubt[v, u]), _LARGEST_DEG)
+            e = max(e, told[v, u])  # of one light or none
             half = e * _PER_HALF_WEIGHT
             error[v, u] = e if mask[v, u] else np.float32(0.0)
             weight[v, u] = (
@@ -259,6 +263,7 @@ def _bound_row(
     e00, e01, e02, e11, e12, e22 = k[15], k[16], k[17], k[18], k[19], k[20]
     m0, m1, m2, m3, m4, m5, m6, m7, m8 = m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8]
     f0, f1, f2, told = m[9], m[10], k[42], k[45]
+    largest = _LARGEST_DEG * _LARGEST_DEG
     s0, s1, s2, s3, s4, s5, s6, s7, s8 = k[21], k[22], k[23], k[24], k[25], k[26], k[27], k[28], k[29]
     count = len(r)
     departures, rest = np.empty(count, np.float32), np.empty(count, np.float32)
@@ -300,8 +305,8 @@ def _bound_row(
         of_turn = eight * noise[u] / (one + facing + along_noise * leaning)
         own = departures[u] - of_turn * (leaning + along_noise * facing)
         own = max(_PER_DEPARTURE * own if unlit[u] == zero else zero, _PER_DEPARTURES * around_cell[u])
-        total = rest[u] + own + unlit[u]
-        angle = min(np.sqrt(total), _LARGEST_DEG) if length[u] > SHORTEST else _LARGEST_DEG
+        total = rest[u] + own + unlit[u] if length[u] > SHORTEST else largest
+        angle = np.sqrt(max(min(total, largest), unlit[u]))
         share = angle * _PER_HALF_WEIGHT
         bound[u] = angle if inside[u] else zero
         weight[u] = one / (one + share * share) if inside[u] else zero
@@ -376,12 +381,14 @@ def _unlit_row(
         if label[u] == ALL_LIT:
             unlit[u] = zero
             continue
+        n2 = normals[3 * u + 2]
+        unknown = (_UNKNOWN[0] + _UNKNOWN[1] * n2 - _UNKNOWN[2] * n2 * n2) ** 2
         pair = pairs[label[u]]
         a0, a1, a2, l0, l1, l2 = pair[0], pair[1], pair[2], pair[3], pair[4], pair[5]
         if l0 * l0 + l1 * l1 + l2 * l2 == zero:
-            unlit[u] = _LARGEST_DEG * _LARGEST_DEG
+            unlit[u] = unknown
             continue
-        n0, n1, n2 = normals[3 * u], normals[3 * u + 1], normals[3 * u + 2]
+        n0, n1 = normals[3 * u], normals[3 * u + 1]
         red, green, blue, scale = r[u] - k[9], g[u] - k[10], b[u] - k[11], k[14]
         # M⁻¹(r − a) says in the plane of the two lights what the normal is, and nothing across it
         x = scale * (k[0] * red + k[1] * green + k[2] * blue)
@@ -403,7 +410,7 @@ def _unlit_row(
             squared += np.float32(4.0) * off * off
         known = squared < np.float32(8.0)  # no NaN
         bound = _PER_DISTANCE * squared + _PER_NOISE * _ALBEDO_SPREAD * _ALBEDO_SPREAD * moved
-        unlit[u] = max(bound, SHORTEST) if known else _LARGEST_DEG * _LARGEST_DEG
+        unlit[u] = min(max(bound, SHORTEST), _LARGEST_DEG * _LARGEST_DEG) if known else unknown
 
 
 @njit(cache=True, parallel=True, fastmath=FLAGS, error_model="numpy")

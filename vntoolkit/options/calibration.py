@@ -107,7 +107,7 @@ class PressOptions(Options):
     """Options of the calibration on presses."""
 
     ball_radius_mm: float
-    """Radius of the ball."""
+    """Radius of the ball; of several, of those presses that --ball-radii does not list."""
     pixel_mm: float | None = None
     """Side of a pixel on the gel. Default: what --corners and --size-mm tell of the picture as filmed."""
     contact_share: float = 0.8

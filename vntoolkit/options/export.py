@@ -72,6 +72,7 @@ class ExportFormat(Enum):
 
     PLY = "ply"  # a mesh a frame
     OBJ = "obj"  # a mesh a frame
+    STL = "stl"  # a mesh a frame
     USD = "usd"  # one animated file
     GLB = "glb"  # one animated file of a registered surface, else one a frame
     POINTS = "points"  # a point cloud a frame, .ply: one point a pixel that has a depth
@@ -85,11 +86,13 @@ class ExportFormat(Enum):
     ROUGHNESS = "roughness"  # ISO 25178's height parameters, a JSON a frame
     SUR = "sur"  # heights, of Digital Surf's programs
     X3P = "x3p"  # heights, of ISO 25178-72
+    RRD = "rrd"  # one recording for the Rerun viewer
+    MCAP = "mcap"  # one recording of ROS 2 messages
 
 
 ExportFormatName: TypeAlias = Literal[
-    "ply", "obj", "usd", "glb", "points", "npz", "diligent", "png",
-    "heights", "local-shape", "curvature", "profile", "roughness", "sur", "x3p",
+    "ply", "obj", "stl", "usd", "glb", "points", "npz", "diligent", "png",
+    "heights", "local-shape", "curvature", "profile", "roughness", "sur", "x3p", "rrd", "mcap",
 ]  # fmt: skip
 INSPECTED = (
     ExportFormat.HEIGHTS,
@@ -123,7 +126,7 @@ class FileUnit(Enum):
         return {"m": 1.0, "cm": 0.01, "mm": 0.001}[self.value]
 
 
-_OF_MESHES = (ExportFormat.PLY, ExportFormat.OBJ, ExportFormat.USD, ExportFormat.GLB)
+_OF_MESHES = (ExportFormat.PLY, ExportFormat.OBJ, ExportFormat.STL, ExportFormat.USD, ExportFormat.GLB)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -132,15 +135,16 @@ class ExportOptions(Options):
 
     to: ExportFormat
     """The format. usd: one animated file (set the frame rate of Blender's scene to the capture's, since
-    Blender keeps its own). glb: one animated file of a registered surface, else one a frame. ply, obj: a mesh
-    a frame. points: a point cloud a frame as .ply, of all pixels with a depth. npz: arrays. png: 16-bit
+    Blender keeps its own). glb: one animated file of a registered surface, else one a frame. ply, obj, stl: a
+    mesh a frame. points: a point cloud a frame as .ply, of all pixels with a depth. npz: arrays. png: 16-bit
     normal maps. diligent: a folder a frame, laid out like the benchmark's. heights, local-shape, curvature,
-    profile, roughness, sur, x3p: for inspection, see the guide."""
+    profile, roughness, sur, x3p: for inspection, see the guide. rrd: one recording of all, for the Rerun
+    viewer. mcap: depth and contact as messages of ROS 2, at the times of the recording."""
     normal_convention: Named[NormalConvention, NormalConventionName] = named(NormalConvention.OPENGL)
     """Axes of normal maps (png, npz, diligent)."""
     units: Named[FileUnit | None, Literal["m", "cm", "mm"] | None] = named(None)
-    """Length unit of the files, for a result that has a scale. Default: metres; without a scale, lengths stay
-    as they are."""
+    """Length unit of the files, for a result that has a scale. Default: metres, and millimetres in STL, which
+    states no unit; without a scale, lengths stay as they are."""
     up: Named[MeshUpAxis, Literal["y", "z"]] = named(MeshUpAxis.Y)
     """Axis that points up in meshes."""
     scale: float | None = None
@@ -168,6 +172,8 @@ class ExportOptions(Options):
             self.up is not MeshUpAxis.Y or self.units not in (None, FileUnit.M)
         ):
             raise BadInput("a GLB has metres and y up by its standard: leave out --units and --up")
+        if self.to is ExportFormat.MCAP and (self.units, self.scale) != (None, None):
+            raise BadInput("mcap: its depth is in the result's own unit: leave out --units and --scale")
         self._require_inspectable()
         if self.cleaning is not None and self.to not in _OF_MESHES:
             raise BadInput(f"cleaning is for meshes, and {self.to.value} has none: leave out --clean")

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from vntoolkit.io.files import read_text, source_file
 from vntoolkit.io.footage.captures import Capture, CaptureOptions, open_capture
 from vntoolkit.io.footage.decoding import rectify_frame
 from vntoolkit.io.footage.image_writing import write_png
-from vntoolkit.io.footage.sequence import CaptureKind
+from vntoolkit.io.footage.sequence import CaptureKind, find_capture_files
 from vntoolkit.io.results.folder import write_lock
 from vntoolkit.options.calibration import LabelOffset, PressOptions
 from vntoolkit.options.footage import Gaps, SensorOptions
@@ -50,17 +51,19 @@ class PressJob:
     source: images, one press each. background: image of the untouched gel. labels: a folder of `NAME.txt`,
     where an image without one is passed over, or a file of lines `NAME u v radius`, where the circles of
     other images are found; None to find all. circles: (name of the image, u, v, radius) in pixels of the
-    rectified image; they replace what is found or labelled. transfer: curve of the footage, None for the one
-    that it states, else linear. sensor: how samples of the sensor itself are read. rectification: takes the
-    camera's view to the gel; None where the images are rectified. label_size: (width, height) of the frame
-    that labels refer to; None for that of the images, rectified. allow: checks whose fatal findings on the
-    footage do not stop the calibration.
+    rectified image; they replace what is found or labelled. ball_radii: a file of lines `NAME radius_mm`,
+    where NAME is an image, a folder of images, or a pattern; None for one ball. transfer: curve of the
+    footage, None for the one that it states, else linear. sensor: how samples of the sensor itself are read.
+    rectification: takes the camera's view to the gel; None where the images are rectified. label_size:
+    (width, height) of the frame that labels refer to; None for that of the images, rectified. allow: checks
+    whose fatal findings on the footage do not stop the calibration.
     """
 
     source: str
     background: Path
     labels: Path | None = None
     circles: tuple[tuple[str, float, float, float], ...] = ()
+    ball_radii: Path | None = None
     transfer: Transfer | None = None
     sensor: SensorOptions = field(default_factory=SensorOptions)
     rectification: Rectification | None = None
@@ -82,7 +85,7 @@ class PressCalibration:
     """A tactile sensor's rig and how it came about.
 
     used: presses fitted. passed_over: names of the images without a label, or without a dent that was found.
-    findings: what labels and colours tell of mistakes, for `judge`.
+    findings: what labels and colours tell of mistakes, for `judge`. ball_radii_mm: of the balls pressed.
     """
 
     rig: Rig
@@ -90,6 +93,7 @@ class PressCalibration:
     used: int
     passed_over: tuple[str, ...]
     findings: tuple[Finding, ...]
+    ball_radii_mm: tuple[float, ...]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -131,12 +135,12 @@ def calibrate_presses(
     height, width = background.shape
     if not reader.has_folder:  # what was found, or corrected one by one, has no common offset
         options = replace(options, label_offset=LabelOffset.OWN)
-    radii_mm = options.side_mm * np.array([part.press.radius_px for part in samples])
+    shares = [options.side_mm * part.press.radius_px / part.ball_radius_mm for part in samples]
     findings = [
         *_findings_from_background(read),
         *press_checks.check_gel_fills_picture(level, _colour_at_contacts(samples)),
         *(_findings_from_labels(read, (width, height)) if reader.has_folder else ()),
-        *press_checks.check_contacts(radii_mm / options.ball_radius_mm),
+        *press_checks.check_contacts(np.array(shares)),
         *press_checks.check_round(np.array([p.aspect for p in read if p.aspect is not None])),
     ]
     fit = fit_gel_to_presses(samples, level, (width, height), options)
@@ -157,7 +161,7 @@ def calibrate_presses(
         response=fit.response,
         transfer=capture.transfer,
         quality=fit.quality,
-        sources=tuple(source_file(path) for path in (*capture.info.files, job.background)),
+        sources=tuple(map(source_file, (*capture.info.files, *find_capture_files(job.background).files))),
         gel=gel,
     )
     return PressCalibration(
@@ -166,6 +170,7 @@ def calibrate_presses(
         used=len(samples),
         passed_over=tuple(press.name for press in read if press.samples is None),
         findings=tuple(findings),
+        ball_radii_mm=tuple(sorted({part.ball_radius_mm for part in samples})),
     )
 
 
@@ -285,6 +290,24 @@ class PressReader:
             if name not in names:
                 raise BadInput(f"circle of {name}: expected an image of {job.source}, such as {names[0]}")
 
+    @cached_property
+    def ball_radii_mm(self) -> dict[str, float]:
+        """Radius of the ball of each press that the table of balls lists, by name."""
+        if self.job.ball_radii is None:
+            return {}
+        paths = dict(zip(self.capture.info.numbers, self.capture.info.files, strict=False))
+        places = {name: paths.get(number, Path(name)) for number, name in self._names.items()}
+        found: dict[str, float] = {}
+        for pattern, radius_mm in _radii_of_file(self.job.ball_radii):
+            of = {name for name, path in places.items() if path.match(pattern) or path.match(f"{pattern}/*")}
+            where = f"{self.job.ball_radii}: {pattern}"
+            if not of:
+                raise BadInput(f"{where} is no image of {self.job.source}, such as {next(iter(places))}")
+            if twice := sorted(of & set(found)):
+                raise BadInput(f"{where} lists {twice[0]} again; expected each press once")
+            found |= dict.fromkeys(of, radius_mm)
+        return found
+
     def name(self, number: int) -> str:
         """The name of a press: of its file, or its number in a video."""
         return self._names[number]
@@ -332,7 +355,8 @@ def _read(
             labelled = reader.labelled(name)
             press = labelled or (None if found is None else found.press)
             if press is not None:
-                samples = samples_from_press(change, reader.background.rgb, ~filled, press, options, rng)
+                own = replace(options, ball_radius_mm=reader.ball_radii_mm.get(name, options.ball_radius_mm))
+                samples = samples_from_press(change, reader.background.rgb, ~filled, press, own, rng)
         yield _ReadPress(
             name=name, samples=samples, labelled=labelled, found=found, change=small, aspect=aspect
         )
@@ -352,6 +376,25 @@ def _circles_of_file(path: Path) -> dict[str, FloatArray]:
             name, *words = line.rsplit(maxsplit=3)
             circles[name.strip()] = _circle(words, f"{path} line {number}")
     return circles
+
+
+def _radii_of_file(path: Path) -> list[tuple[str, float]]:
+    """Read names and radii from lines `NAME radius_mm`; empty lines do not count."""
+    found = []
+    for number, line in enumerate(read_text(path).splitlines(), start=1):
+        name, _, word = line.strip().rpartition(" ")
+        if not line.strip():
+            continue
+        try:
+            radius = float(word)
+        except ValueError:
+            radius = 0.0
+        if not (name and 0 < radius < np.inf):
+            raise BadInput(
+                f"{path} line {number}: expected NAME and a radius in mm, got '{line.strip():.40}'"
+            )
+        found.append((name.strip(), radius))
+    return found
 
 
 def _circle(words: Sequence[str | float], where: str) -> FloatArray:

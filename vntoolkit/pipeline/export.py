@@ -78,6 +78,10 @@ def export(
     with read_lock(job.folder):
         result = read_result(job.folder, frames=job.frames, footage=job.footage, background=job.background)
         track = _track_of(result, job.options)
+        if job.options.to in (ExportFormat.RRD, ExportFormat.MCAP):
+            from vntoolkit.pipeline.export_recordings import export_recording
+
+            return export_recording(job, result, track, on_start, on_frame)
         if job.options.to is ExportFormat.USD or (job.options.to is ExportFormat.GLB and track is not None):
             return _export_animation(job, result, track, on_start, on_frame)
         return _export_folder(job, result, track, overwrite, on_start, on_frame)
@@ -215,7 +219,7 @@ EXPORT = FolderKind(
     record="export.json",
     files=("track.npz", _MATERIAL, "surface_albedo.png", "surface_normal.png"),
     frames={
-        ".": (".ply", ".obj", ".glb", ".npz", ".png", ".exr", ".csv", ".json", ".sur", ".x3p")
+        ".": (".ply", ".obj", ".stl", ".glb", ".npz", ".png", ".exr", ".csv", ".json", ".sur", ".x3p")
     },  # whatever the format of the earlier one
     clear_frame=_remove_frame_folder,
 )
@@ -235,7 +239,8 @@ def file_lengths(options: ExportOptions, unit: LengthUnit | None) -> FileLengths
     if unit is LengthUnit.METRE and options.scale is not None:
         raise BadInput("scale: the result has lengths in metres already; leave out --scale")
     if metres is not None:
-        target = (options.units or FileUnit.M).metres
+        usual = FileUnit.MM if options.to is ExportFormat.STL else FileUnit.M
+        target = (options.units or usual).metres
         return FileLengths(factor=metres / target, metres_per_unit=target)
     if options.units is not None and unit is not None:
         stored = "in pixels" if unit is LengthUnit.PIXEL else "of free scale"
@@ -333,7 +338,7 @@ class FrameExport(ABC):
 
 
 class _Meshes(FrameExport):
-    """PLY, OBJ, or GLB a frame, of the frames' own meshes."""
+    """PLY, OBJ, STL or GLB a frame, of the frames' own meshes."""
 
     made_from, needs = ("mesh",), "mesh"
     is_tracked = False

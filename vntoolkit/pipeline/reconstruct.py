@@ -17,7 +17,7 @@ from vntoolkit.errors import BadCapture, BadInput
 from vntoolkit.io.atomic import remove_leftovers, require_apart, write_text
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.footage.mattes import require_mattes
-from vntoolkit.io.footage.sequence import text_of_names
+from vntoolkit.io.footage.sequence import find_capture_files, text_of_names
 from vntoolkit.io.results import manifest as manifests
 from vntoolkit.io.results.folder import begin_run, require_same_request, write_lock
 from vntoolkit.io.results.frame_log import FrameEntry, FrameLog
@@ -376,7 +376,7 @@ def manifest_of_request(request: Request, footage: Footage, frames: FrameRange) 
     if request.mask is not None:
         extra["mask"] = entry_of_files(request.mask, footage.mattes.files)
     if request.background is not None:
-        extra["background"] = entry_of_files(request.background, (request.background,))
+        extra["background"] = entry_of_files(request.background, find_capture_files(request.background).files)
     return Manifest(
         input=manifests.InputEntry(
             source=request.source,

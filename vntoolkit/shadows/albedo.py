@@ -1,13 +1,11 @@
 """Albedo under shadows: slowly varying, read where all three lights arrive, continued where they do not."""
 
 import math
-from typing import Any
 
 import cv2
 import numpy as np
 
 from vntoolkit.arrays import FloatArray, Mask
-from vntoolkit.native import njit
 
 _DARKEST = 1e-3  # of the albedo scale; keeps the logarithm finite
 _LEAST_TRUST = 1e-4  # weight of the coarser level where a pixel's block holds anything at all
@@ -39,13 +37,6 @@ def albedo_from_lit(length: FloatArray, lit: Mask, factor: int = 1) -> FloatArra
         trust = core / (1.0 + ((logarithm - filled) / _OUTLIER) ** 2)
         filled = fill_smoothly(logarithm, trust, finest)
     return np.exp(filled)
-
-
-@njit(cache=True, forceinline=True, error_model="numpy")
-def departure(length: Any, albedo: Any) -> Any:
-    """Return sinh of the log of length over albedo: the log where paint fits, harder on what does not."""
-    long, around = max(length, np.float32(_DARKEST)), max(albedo, np.float32(_DARKEST))
-    return np.float32(0.5) * (long * long - around * around) / (long * around)
 
 
 # Values known on some pixels, spread smoothly over the rest (push–pull over an image pyramid).

@@ -25,15 +25,15 @@ _FEWEST_LOOPS = 100
 _FEWEST_PAIRS = 60  # of rows, whose noise stands for the frame's
 # Of a pixel that 0 … 3 lights reach: one alone hangs on the albedo; few pixels under two must hold against
 # many around.
-TRUST_BY_LIGHTS = (1.0, 0.2, 2.0, 1.0)
+_TRUST_BY_LIGHTS = (1.0, 0.2, 2.0, 1.0)
 _NOISE_PER_SLOPE = 1.7  # noise of a cosine per noise of a slope, on cleaner frames
 _LEAST_NOISE = 0.01  # of a cosine
 _HELD = 4  # steps of the surface that keep the roots, while depth finds where it steps, …
 _FREE = 4  # … and those that settle it; of photographs' surfaces more make normals worse
 
 
-def solve_from_start(labelled: LabelledImage, noise: float | None) -> tuple[Surface, SurfaceOptions]:
-    """Solve the surface of a frame on its working size; return it and what was asked of it.
+def solve_from_start(labelled: LabelledImage, noise: float | None) -> Surface:
+    """Solve the surface of a frame on its working size.
 
     noise: standard deviation of slopes, None where it is not known.
     """
@@ -43,14 +43,14 @@ def solve_from_start(labelled: LabelledImage, noise: float | None) -> tuple[Surf
     options = SurfaceOptions(spread=spread, iterations=held + _FREE, held=held, settled=_FREE)
     if noise is not None:
         options = replace(options, noise=min(options.noise, max(_NOISE_PER_SLOPE * noise, _LEAST_NOISE)))
-    by_lights = np.asarray(TRUST_BY_LIGHTS, dtype=np.float32)[count_lit(labelled.labels)]
+    by_lights = np.asarray(_TRUST_BY_LIGHTS, dtype=np.float32)[count_lit(labelled.labels)]
     trusted = replace(labelled, trust=(light.trust * by_lights).astype(np.float32))
     if not held:
-        return trusted.solve(options), options
+        return trusted.solve(options)
     roots = roots_of_labels(light, albedo, labelled.labels, mask, spread)
     surface = trusted.solve(options, first_normals=roots.normals, guessed=roots.known)
     sides = with_sides_of_roots(surface.normals, roots, labelled.labels, light)
-    return replace(surface, normals=sides), options
+    return replace(surface, normals=sides)
 
 
 # How noisy the normals of one frame are: as far as no surface has them.

@@ -7,91 +7,67 @@ the light; where the surface itself turns from it, light fades on both sides and
 
 import cv2
 import numpy as np
-from numba import prange
 
-from vntoolkit.arrays import ByteArray, FloatArray, IntArray, Mask, Matrix3, VisibilityLabels
-from vntoolkit.native import njit
-from vntoolkit.photometry.frame import ALL_LIT, labels_from_lit
+from vntoolkit.arrays import BoolArray, FloatArray, IntArray, Mask, Matrix3
 
-_OUTWARDS_PX = 1.5  # radius over which the way to the outline is averaged
-
-# The edge of a cast shadow; cosines are 1 where a surface faces the light.
+_REACH_PX = 2  # how far nearby is: a blur of 0.9 pixels is over by then
+_CAST_FACING = 0.2  # predicted cosine from which a shadow counts as cast
 _CAST_PART = (
-    0.45  # below this part of the largest cosine nearby a pixel beside the shadow joins it: half, less noise
+    0.45  # of the largest cosine nearby, below which a pixel beside the shadow joins it: half, less noise
 )
-_CAST_REACH_PX = 2  # how far nearby is: a blur of 0.9 pixels is over by then
 _CAST_FAINTEST = 0.22  # largest cosine nearby from which there is an edge to judge
 
 # The outline.
+_OUTWARDS_PX = 1.5  # radius over which the way to it is averaged
 _RIM_PX = 2.5  # pixels this close to the outline are judged …
 _NEAR_PX, _FAR_PX = 3.0, 5.0  # … by the surface between these distances from it
 _LEAST_TURN = 0.01  # fall of n_z² per pixel outwards from which the surface turns out of sight
 _AWAY = 0.05  # cosine to the light below which the continued surface has turned from it
 _BRIGHTEST = 0.1  # a larger cosine is never called shadow
 
+_SHARPENING = 1.2  # part of the difference to the blurred image that is added
+_BLUR_PX = 0.87  # standard deviation, about that of a lens with a Bayer pattern
 
-def labels_beyond_half(
-    labels: VisibilityLabels,
-    cosines: FloatArray,
-    facing: ByteArray,
-    mask: Mask,
-    near: Mask | None = None,
-) -> VisibilityLabels:
-    """Return labels (h, w) without the lights of which less than half arrives beside a cast shadow.
 
-    cosines: (h, w, 3), measured. facing: (h, w), bit k set where the surface faces light k, so that its
-    shadow is cast. near: (h, w), holds all shadows of `mask` and the pixels around them.
+def lit_beyond_half(lit: BoolArray, cosines: FloatArray, predicted: FloatArray, mask: Mask) -> BoolArray:
+    """Return (h, w, 3), the lights of which more than half arrives beside a cast shadow.
+
+    lit: (h, w, 3), lights that arrive anyhow. cosines, predicted: (h, w, 3), measured, and of the surface.
     """
-    out: VisibilityLabels = np.array(labels, dtype=np.uint8)
-    shadow = (~labels & ALL_LIT & facing).astype(np.uint8) * mask
-    _part_kernel(
-        np.asarray(labels), shadow, np.asarray(cosines, np.float32), np.asarray(mask),
-        np.asarray(mask if near is None else near), _CAST_PART, _CAST_REACH_PX, _CAST_FAINTEST, out,
-    )  # fmt: skip
-    return out
+    beside, nearby = np.ones((3, 3), np.uint8), np.ones((2 * _REACH_PX + 1,) * 2, np.uint8)
+    inside = mask[..., None]
+    cast = (~lit & inside & (predicted > _CAST_FACING)).astype(np.uint8)
+    brightest = cv2.dilate(np.where(lit & inside, cosines, np.float32(0.0)), nearby)
+    below = (cosines < _CAST_PART * brightest) & (brightest > _CAST_FAINTEST)
+    return lit & ~(below & (cv2.dilate(cast, beside) > 0) & inside)
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
-def _part_kernel(
-    labels: VisibilityLabels, shadow: ByteArray, cosines: FloatArray, mask: Mask, near: Mask,
-    part: float, reach: int, faintest: float, out: VisibilityLabels,
-) -> None:  # fmt: skip
-    """shadow: (h, w), bit k set where a shadow of light k counts, 0 outside the mask; reach: in pixels."""
-    h, w = mask.shape
-    for v in prange(h):
-        above, below, column = max(v - 1, 0), min(v + 1, h - 1), np.zeros(w + 2, np.uint8)
-        for u in range(w):
-            column[u + 1] = shadow[above, u] | shadow[v, u] | shadow[below, u]
-        for u in range(w):
-            beside = (column[u] | column[u + 1] | column[u + 2]) & labels[v, u]
-            if beside == 0 or not near[v, u] or not mask[v, u]:
-                continue
-            for k in range(3):
-                if (beside >> k) & 1 == 0:
-                    continue
-                brightest = np.float32(0.0)
-                for y in range(max(v - reach, 0), min(v + reach + 1, h)):
-                    for x in range(max(u - reach, 0), min(u + reach + 1, w)):
-                        if mask[y, x] and (labels[y, x] >> k) & 1 == 1:
-                            brightest = max(brightest, cosines[y, x, k])
-                if brightest > faintest and cosines[v, u, k] < part * brightest:
-                    out[v, u] &= np.uint8(7 - (1 << k))
+def sharpened(cosines: FloatArray, mask: Mask) -> FloatArray:
+    """Return cosines (h, w, 3) with blur undone in part, but for the backdrop's beside the outline.
+
+    The median of nine takes the noise back out.
+    """
+    size = 2 * round(3.0 * _BLUR_PX) + 1
+    blurred = cv2.GaussianBlur(cosines, (size, size), _BLUR_PX)
+    sharp = cv2.medianBlur(cosines + np.float32(_SHARPENING) * (cosines - blurred), 3)
+    inner = cv2.erode(mask.astype(np.uint8), np.ones((size, size), np.uint8)) > 0
+    return np.where(inner[..., None], sharp, cosines)
 
 
 # The last pixels before a figure's outline, where the surface turns out of sight within a pixel or two.
 
 
 def turned_from_lights(
-    normals: FloatArray, cosines: FloatArray, directions: Matrix3, inset: FloatArray, near: Mask
-) -> VisibilityLabels:
-    """Return (h, w), bit k set beside the outline where the surface turns from light k.
+    normals: FloatArray, cosines: FloatArray, directions: Matrix3, mask: Mask
+) -> BoolArray:
+    """Return (h, w, 3), where the surface turns from a light beside the outline.
 
     normals: (h', w', 3), predicted, on the same or a smaller image of the field. cosines: (h, w, 3),
-    measured. directions: (3, 3), one unit row per light. inset: (h, w), distance in pixels from the outline
-    inwards, 0 outside. near: (h, w), pixels that are asked.
+    measured. directions: (3, 3), one unit row per light. mask: (h, w), whose border inside is the outline.
     """
-    turned: VisibilityLabels = np.zeros(inset.shape, np.uint8)
-    v, u = np.nonzero((inset > 0.0) & (inset < _RIM_PX) & near)
+    inset: FloatArray = np.asarray(cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, 5), np.float32)
+    turned: BoolArray = np.zeros((*inset.shape, 3), np.bool_)
+    v, u = np.nonzero((inset > 0.0) & (inset < _RIM_PX))
     if not len(v):
         return turned
     scale = inset.shape[0] / normals.shape[0]
@@ -104,7 +80,7 @@ def turned_from_lights(
     sideways = _unit(first[:, :2]) * np.sqrt(1.0 - facing)[:, None]
     continued = np.concatenate([sideways, -np.sqrt(facing)[:, None]], axis=1)
     away = (continued @ directions.T < _AWAY) & (turn > _LEAST_TURN)[:, None]
-    turned[v, u] = labels_from_lit(away & (cosines[v, u] < _BRIGHTEST))
+    turned[v, u] = away & (cosines[v, u] < _BRIGHTEST)
     return turned
 
 

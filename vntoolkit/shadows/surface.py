@@ -330,7 +330,7 @@ def _of_light(
 
 
 @njit(cache=True, fastmath=True, forceinline=True, error_model="numpy")
-def local_quadratic(
+def _local_quadratic(
     x: Any, y: Any, p: Any, q: Any, towards_p: Any, towards_q: Any, seen0: Any, seen1: Any, seen2: Any,
     label: Any, trust: Any, lights: Numbers, model: Model,
 ) -> tuple[Any, Any, Any, Any, Any, Any]:  # fmt: skip
@@ -396,7 +396,7 @@ def quadratics_kernel(
         for u in range(w):
             x = x0 + rays.per_pixel_u * np.float32(u)
             p, q = slope_p[u], slope_q[u]
-            a00, a01, a11, b0, b1, c = local_quadratic(
+            a00, a01, a11, b0, b1, c = _local_quadratic(
                 x, y, p, q, prior_p[u], prior_q[u], seen[3 * u], seen[3 * u + 1], seen[3 * u + 2], label[u],
                 trust[u], lights, model,
             )  # fmt: skip
@@ -459,14 +459,14 @@ def _normals_kernel(
             scale = one / np.sqrt(p * p + q * q + n2 * n2)
             p, q, n2 = p * scale, q * scale, n2 * scale
             weight = agreed[u] if own[u] else one
-            a, b, c = mixed(p, q, n2, weight, line[3 * u], line[3 * u + 1], line[3 * u + 2])
+            a, b, c = _mixed(p, q, n2, weight, line[3 * u], line[3 * u + 1], line[3 * u + 2])
             to[3 * u], to[3 * u + 1], to[3 * u + 2] = (
                 a if inside[u] else zero, b if inside[u] else zero, c if inside[u] else zero,
             )  # fmt: skip
 
 
 @njit(cache=True, forceinline=True, error_model="numpy")
-def mixed(a0: Any, a1: Any, a2: Any, weight: Any, b0: Any, b1: Any, b2: Any) -> tuple[Any, Any, Any]:
+def _mixed(a0: Any, a1: Any, a2: Any, weight: Any, b0: Any, b1: Any, b2: Any) -> tuple[Any, Any, Any]:
     """Blend two unit vectors, the first with `weight`."""
     rest = np.float32(1.0) - weight
     x = weight * a0 + rest * b0

@@ -13,7 +13,6 @@ from vntoolkit.skinning.stretch import edge_lengths, greatest_growth
 
 STRETCHED, TORN = 2.0, 3.0  # a knit bears about the first; the second shows as a web
 _LEAST_VERTICES = 6  # of a sleeve's section, for its motion
-_PRINTED_AS_MORE = 1.05  # than 1.0; `round` would take this very number for 1.0
 _SIDES = {1: "left", -1: "right"}
 
 
@@ -63,7 +62,7 @@ class DressingFindings:
 
 def is_outside(off_axis: FloatArray | float) -> BoolArray:
     """True where an arm is outside its sleeve by the tenth of a radius that is printed: 1.0 is inside."""
-    return np.asarray(np.asarray(off_axis) >= _PRINTED_AS_MORE)
+    return np.asarray(np.asarray(off_axis) >= 1.05)  # which is printed as 1.1, and `round` takes for 1.0
 
 
 class DressingMeter:

@@ -1,4 +1,4 @@
-"""Calibration of a tactile sensor on presses of a ball of known radius into its gel.
+"""Calibration of a tactile sensor on presses of balls of known radii into its gel.
 
 The camera looks at the gel from behind, so the dent bulges towards it and inside the contact circle it is
 the ball's own surface (Johnson and Adelson, Retrographic sensing for the measurement of surface texture
@@ -115,7 +115,7 @@ def _moved_to_dent(
     if np.count_nonzero(touched) < _FEWEST_OF_CENTRE:
         return offset_px
     found = normals_from_change(part.rgb[touched], part.positions_px[touched], fit.response, fit.gel)
-    ball_px = options.ball_radius_mm / options.side_mm
+    ball_px = part.ball_radius_mm / options.side_mm
     step = np.median(offsets[touched] - ball_px * found[:, :2], axis=0)
     length = float(np.linalg.norm(step))
     return np.asarray(offset_px + step * min(1.0, reach_px / max(length, 1e-9)))
@@ -267,7 +267,7 @@ def largest_label_offset(samples: Iterable[PressSamples]) -> float:
 def fit_label_offset(samples: list[PressSamples], level: Vector3, options: PressOptions) -> FloatArray:
     """The offset (du, dv) in pixels from label to dent, common to all presses.
 
-    Fits M, moves the offset by the median tilt that is left, and repeats.
+    Fits M, moves the offset by what the median of the tilts left is on the ball, and repeats.
     """
     thin = [
         replace(
@@ -286,8 +286,8 @@ def fit_label_offset(samples: list[PressSamples], level: Vector3, options: Press
         response = _fit_matrix(pairs, level, options)
         normals, rgb = pairs.normals[pairs.touched], pairs.rgb[pairs.touched]
         found = normals_from_stereographic(first_estimate(rgb @ response.inverse.T))
-        tilt = np.median(found[:, :2] - normals[:, :2], axis=0)
-        step = -tilt * options.ball_radius_mm / options.side_mm
+        balls_px = np.array([part.ball_radius_mm for part in thin])[pairs.presses[pairs.touched]]
+        step = np.median((normals - found)[:, :2] * balls_px[:, None], axis=0) / options.side_mm
         offset = offset + step
         length = float(np.linalg.norm(offset))
         if length > reach:

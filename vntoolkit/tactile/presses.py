@@ -26,13 +26,14 @@ class PressSamples:
     """Pixels of one frame, at and around the contact and, far away, on the flat gel.
 
     rgb: (n, 3) change of colour against the untouched gel. untouched: (n, 3), the gel's own colour there.
-    positions_px: (n, 2). press: as labelled.
+    positions_px: (n, 2). press: as labelled. ball_radius_mm: of the ball that was pressed.
     """
 
     rgb: Points
     untouched: Points
     positions_px: Points2
     press: Press
+    ball_radius_mm: float
 
     def offsets_px(self, label_offset_px: FloatArray) -> Points2:
         """From the centre of the ball, (n, 2), where the label is off by `label_offset_px`, (2,)."""
@@ -103,6 +104,7 @@ def samples_from_press(
         untouched=background[rows, columns].astype(np.float64),
         positions_px=np.column_stack([columns, rows]).astype(np.float64),
         press=press,
+        ball_radius_mm=options.ball_radius_mm,
     )
 
 
@@ -125,7 +127,7 @@ def pairs_from_samples(
         offsets = part.offsets_px(own[number])
         distance = np.linalg.norm(offsets, axis=1)
         touched = distance < options.contact_share * part.press.radius_px
-        xy = np.where(touched[:, None], offsets * options.side_mm / options.ball_radius_mm, 0.0)
+        xy = np.where(touched[:, None], offsets * options.side_mm / part.ball_radius_mm, 0.0)
         normals = np.column_stack([xy, -np.sqrt(np.maximum(1.0 - (xy**2).sum(axis=1), 0.0))])
         used = touched | (distance > _FLAT_RADII * part.press.radius_px)
         presses = np.full(int(used.sum()), number, dtype=np.int64)

@@ -3,11 +3,11 @@
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from vntoolkit.arrays import LinearImage
+from vntoolkit.arrays import Array, LinearImage
 from vntoolkit.checks import require_positive, require_shape
 from vntoolkit.display import Displayed, Facts, Picture
 from vntoolkit.errors import BadCapture, BadInput
@@ -21,6 +21,7 @@ from vntoolkit.photometry.transfer import Transfer
 
 if TYPE_CHECKING:
     from vntoolkit.io.footage.video import VideoReader
+    from vntoolkit.io.recordings.recorded import Stamp
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -97,6 +98,18 @@ class CaptureInfo:
     stated_focal_px: float | None = None
 
 
+class FrameReader(Protocol):
+    """Reads the frames of a video or a recording by their numbers."""
+
+    def frames(self, start: int = 0, stop: int | None = None, step: int = 1) -> Iterator[tuple[int, Array]]:
+        """Yield (number, RGB array)."""
+        ...
+
+    def nearest_key_frame(self, number: int) -> int:
+        """Return the nearest frame that needs no other to be decoded."""
+        ...
+
+
 class Capture(Displayed):
     """An opened capture. Frames are decoded one at a time, from any frame on.
 
@@ -104,7 +117,7 @@ class Capture(Displayed):
     """
 
     def __init__(
-        self, info: CaptureInfo, options: CaptureOptions, reader: "VideoReader | None", name: str
+        self, info: CaptureInfo, options: CaptureOptions, reader: "FrameReader | None", name: str
     ) -> None:
         self.info = info
         self.options = options
@@ -181,8 +194,13 @@ class Capture(Displayed):
         """
         if self._reader is None:
             return min(self.info.numbers, key=lambda there: abs(there - number))
-        nearest = self._reader.index.nearest_key_frame(number)
+        nearest = self._reader.nearest_key_frame(number)
         return nearest if abs(nearest - number) <= within else number
+
+    @property
+    def stamps(self) -> "tuple[Stamp, ...]":
+        """When each picture of an MCAP recording was filmed; empty for other footage."""
+        return getattr(self._reader, "stamps", ())
 
     def _read_background(self) -> LinearImage | None:
         background = self.options.background
@@ -217,10 +235,16 @@ def require_size_of(footage: CaptureInfo, size: tuple[int, int], background: str
 def open_capture(source: Path | str, options: CaptureOptions | None = None) -> Capture:
     """Open a video, an image, a folder of images, or a printf (`f_%04d.png`) or glob (`f_*.png`) pattern.
 
-    Images are ordered by the numbers in their names. Raises `BadCapture` with one line.
+    Images are ordered by the numbers in their names. Of an MCAP recording, `touch.mcap:/camera/image_raw`
+    names the topic where it holds pictures on several. Raises `BadCapture` with one line.
     """
     options = options or CaptureOptions()
     found = find_capture_files(source)
+    if found.topic is not None:
+        from vntoolkit.io.recordings.mcap_footage import RecordingReader, info_of_recording
+
+        recording = RecordingReader(found.files[0], found.topic, options)
+        return Capture(info_of_recording(recording, options.frame_rate_hz), options, recording, str(source))
     if found.kind is CaptureKind.VIDEO:
         reader = _video_reader(found.files[0], options)
         return Capture(_info_of_video(reader, options.frame_rate_hz), options, reader, str(source))

@@ -38,7 +38,8 @@ class CaptureFiles:
 
     numbers: of the frame that each file is, from 0; a file that is missing leaves its number free. missing:
     name of the missing file by frame number. left_out: images of a folder whose names do not follow the
-    frames' pattern. stated: the number in each file's name, where it counts frames; else empty.
+    frames' pattern. stated: the number in each file's name, where it counts frames; else empty. topic: of an
+    MCAP recording, empty for its only one; None for other footage.
     """
 
     kind: CaptureKind
@@ -47,6 +48,7 @@ class CaptureFiles:
     missing: Mapping[int, str] = field(default_factory=dict)
     left_out: tuple[Path, ...] = ()
     stated: tuple[int, ...] = ()
+    topic: str | None = None
 
 
 def find_capture_files(source: Path | str) -> CaptureFiles:
@@ -69,6 +71,10 @@ def text_of_names(names: list[str]) -> str:
 
 def _find(text: str) -> CaptureFiles:
     path = Path(text)
+    file, dot, topic = text.rpartition(".mcap:")
+    if (dot or path.suffix.lower() == ".mcap") and not (dot and path.exists()):
+        path = require_file(Path(file + dot[:-1]) if dot else path, BadCapture)
+        return CaptureFiles(kind=CaptureKind.VIDEO, files=(path,), topic=topic if dot else "")
     if path.is_dir():
         files, left_out = _in_folder(path)
         return _sequence(files, left_out)

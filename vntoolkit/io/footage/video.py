@@ -204,6 +204,10 @@ class VideoReader:
             _INDICES[known] = index
         return index
 
+    def nearest_key_frame(self, number: int) -> int:
+        """Return the nearest frame that needs no other to be decoded."""
+        return self.index.nearest_key_frame(number)
+
     def frames(self, start: int = 0, stop: int | None = None, step: int = 1) -> Iterator[tuple[int, Array]]:
         """Yield (number, RGB array) for the frames start, start + step, … below stop.
 

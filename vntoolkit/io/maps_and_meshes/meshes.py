@@ -1,4 +1,4 @@
-"""Meshes and point clouds on disk, by suffix: PLY and OBJ. Camera frame in memory, graphics frame on disk."""
+"""Meshes and point clouds on disk: PLY, OBJ, STL. Camera frame in memory, graphics frame on disk."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -8,9 +8,9 @@ import numpy as np
 from vntoolkit.arrays import Array, ByteArray, Float32Array, Int64Array
 from vntoolkit.checks import checks_kinds
 from vntoolkit.errors import BadMesh, CannotWrite
-from vntoolkit.geometry.mesh import Mesh, triangles_from_polygons
+from vntoolkit.geometry.mesh import Mesh, face_normals, triangles_from_polygons
 from vntoolkit.geometry.point_cloud import PointCloud
-from vntoolkit.io.atomic import write_text
+from vntoolkit.io.atomic import write_bytes, write_text
 from vntoolkit.io.conventions import graphics_from_camera
 from vntoolkit.io.files import require_mesh_file, require_vertices, text_lines
 from vntoolkit.io.footage.image_writing import write_png
@@ -27,7 +27,7 @@ def write_mesh(
     up: MeshUpAxis = MeshUpAxis.Y,
     material: str | None = None,
 ) -> None:
-    """Write a mesh in the camera frame as `.ply` (binary, float32) or `.obj` (with `.mtl`, texture `.png`).
+    """Write a mesh in the camera frame: `.ply`, `.stl` (binary, float32), `.obj` (texture `.png`).
 
     texture: (h, w, 3) uint8 RGB for an OBJ whose mesh has texture coordinates. Colours are stored as
     value·255, without a curve. up: the axis that points up in the file; `read_mesh` expects y. material: of
@@ -40,8 +40,10 @@ def write_mesh(
             write_ply(path, _content(mesh, up), up.meaning)
         case ".obj":
             write_obj(path, _flip(mesh, up), texture, up.meaning, material)
+        case ".stl":
+            write_stl(path, _flip(mesh, up))
         case suffix:
-            raise CannotWrite(f"{path}: a mesh is written as .ply or .obj, not '{suffix}'")
+            raise CannotWrite(f"{path}: a mesh is written as .ply, .obj or .stl, not '{suffix}'")
 
 
 def read_mesh(path: Path | str) -> Mesh:
@@ -144,6 +146,17 @@ def write_obj(
     names = [corner.format(i) for i in range(1, len(vertices) + 1)]
     lines += [f"f {names[a]} {names[b]} {names[c]}" for a, b, c in mesh.faces.tolist()]
     write_text(path, "\n".join(lines) + "\n")
+
+
+def write_stl(path: Path | str, mesh: Mesh) -> None:
+    """Write the triangles of a mesh in the frame of files, each with its normal, as a binary STL."""
+    kind = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+    triangles = np.zeros(len(mesh.faces), kind)
+    triangles["corners"] = mesh.vertices[mesh.faces]
+    normals = face_normals(mesh.vertices, mesh.faces)
+    triangles["normal"] = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+    count = np.array([len(triangles)], "<u4")
+    write_bytes(path, b"vntoolkit".ljust(80) + count.tobytes() + triangles.tobytes())
 
 
 def write_material(path: Path | str, albedo: Path | None, normal: Path | None = None) -> None:

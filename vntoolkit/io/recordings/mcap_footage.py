@@ -1,0 +1,155 @@
+"""A camera's topic of an MCAP recording, read as the frames of a capture.
+
+The messages are sensor_msgs/msg/Image and CompressedImage of ROS 2. They are counted in the order of their
+log times, which are kept.
+"""
+
+from collections.abc import Iterator
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from vntoolkit.arrays import Array
+from vntoolkit.errors import BadCapture
+from vntoolkit.io.files import require_file
+from vntoolkit.io.footage.captures import CaptureInfo, CaptureOptions
+from vntoolkit.io.footage.sequence import CaptureKind
+from vntoolkit.io.recordings.recorded import Stamp
+from vntoolkit.io.recordings.ros_pictures import rgb_from_message
+from vntoolkit.libraries import require_installed
+
+_SCHEMAS = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
+_NS = 1_000_000_000
+
+
+class RecordingReader:
+    """Frames of one topic of a recording as RGB arrays, uint8 or uint16. Raises `BadCapture`."""
+
+    def __init__(self, path: Path, topic: str, options: CaptureOptions) -> None:
+        require_installed("mcap_ros2", "'vntoolkit[mcap]'", "MCAP recordings are read by mcap-ros2-support")
+        self.path = require_file(path, BadCapture)
+        self._options = options
+        self.topic = self._camera_topic(topic)
+        first = next(self._messages(0), None)
+        if first is None:
+            raise BadCapture(f"{path}: topic {self.topic} holds no message")
+        picture = self._rgb(first[1], 0)
+        self.height, self.width = picture.shape[:2]
+        self.bits = 8 * picture.dtype.itemsize
+        stored = str(getattr(first[1], "format", ""))  # of a compressed picture
+        self.encoding = stored or str(first[1].encoding)
+        self.codec = ("PNG" if "png" in stored.lower() else "JPEG") if stored else "rawvideo"
+
+    @cached_property
+    def stamps(self) -> tuple[Stamp, ...]:
+        """When each frame was filmed."""
+        return tuple(stamp for stamp, _ in self._messages(0))
+
+    @property
+    def times_s(self) -> tuple[float, ...]:
+        """When each frame was logged, seconds from the first; empty where two have one time."""
+        times = [(stamp.logged_ns - self.stamps[0].logged_ns) / _NS for stamp in self.stamps]
+        return tuple(times) if len(set(times)) == len(times) else ()
+
+    def nearest_key_frame(self, number: int) -> int:
+        """Return the frame itself: each is stored whole."""
+        return number
+
+    def frames(self, start: int = 0, stop: int | None = None, step: int = 1) -> Iterator[tuple[int, Array]]:
+        """Yield (number, RGB array) for the frames start, start + step, … below stop."""
+        wanted = range(start, stop if stop is not None else 1 << 62, step)
+        for number, (_, message) in enumerate(self._messages(start), start):
+            if number >= wanted.stop:
+                return
+            if number in wanted:
+                yield number, self._rgb(message, number)
+
+    def _messages(self, start: int) -> Iterator[tuple[Stamp, Any]]:
+        """The messages of the frames from `start` on, read from their time on."""
+        from mcap.reader import make_reader
+        from mcap_ros2.decoder import DecoderFactory
+
+        since = self.stamps[start].logged_ns if start else None
+        same = sum(stamp.logged_ns == since for stamp in self.stamps[:start]) if start else 0
+        try:
+            with self.path.open("rb") as stream:
+                reader = make_reader(stream, decoder_factories=[DecoderFactory()])
+                found = reader.iter_decoded_messages(topics=self.topic, starting_at=since)
+                for k, (_, _, raw, message) in enumerate(found):
+                    if k >= same:
+                        filmed = message.header.stamp
+                        filmed_ns = filmed.sec * _NS + filmed.nanosec
+                        frame_id = message.header.frame_id
+                        yield Stamp(logged_ns=raw.log_time, filmed_ns=filmed_ns, frame_id=frame_id), message
+        except Exception as error:  # whatever the parsers meet in a damaged file
+            raise self._damaged(error) from error
+
+    def _camera_topic(self, asked: str) -> str:
+        from mcap.reader import make_reader
+
+        try:
+            with self.path.open("rb") as stream:
+                summary = make_reader(stream).get_summary()
+            assert summary is not None
+            schemas = summary.schemas
+            kinds = {c.topic: schemas[c.schema_id].name for c in summary.channels.values() if c.schema_id}
+        except Exception as error:  # whatever the parsers meet in a damaged file
+            raise self._damaged(error) from error
+        cameras = sorted(topic for topic, kind in kinds.items() if kind in _SCHEMAS)
+        if asked:
+            if asked not in cameras:
+                held = f"of {kinds[asked]}" if asked in kinds else "not there"
+                raise BadCapture(
+                    f"{self.path}: topic {asked} is {held}, expected one of {_SCHEMAS[0]} or CompressedImage"
+                    f"{': ' + ', '.join(cameras) if cameras else ''}"
+                )
+            return asked
+        if len(cameras) != 1:
+            why = f"holds {len(cameras)} topics of pictures: {', '.join(cameras)}; name one"
+            if not cameras:
+                why = f"holds no topic of {_SCHEMAS[0]} or CompressedImage; name a recording with one"
+            raise BadCapture(f"{self.path}: {why}, as {self.path.name}:{(cameras or ['/image_raw'])[0]}")
+        return cameras[0]
+
+    def _rgb(self, message: Any, number: int) -> Array:
+        name = f"{self.path}, message {number} of {self.topic}"
+        try:
+            image = rgb_from_message(
+                message, name, max_megapixels=self._options.max_megapixels, sensor=self._options.sensor
+            )
+        except AttributeError as error:  # a schema without a field of pictures
+            raise self._damaged(error) from error
+        height, width = image.shape[:2]
+        if number and (width, height) != (self.width, self.height):
+            raise BadCapture(
+                f"{name}: is {width}×{height}, the first one {self.width}×{self.height}: a capture has one "
+                "size"
+            )
+        return image
+
+    def _damaged(self, reason: object) -> BadCapture:
+        why = " ".join(str(reason).split()) or type(reason).__name__
+        return BadCapture(
+            f"{self.path}: cannot be read ({why:.80}); `mcap recover` saves a cut-off recording"
+        )
+
+
+def info_of_recording(reader: RecordingReader, rate_hz: float | None) -> CaptureInfo:
+    """What the topic of a recording holds. rate_hz: at which it was filmed, whatever the times say."""
+    times, count = reader.times_s, len(reader.stamps)
+    measured = (count - 1) / times[-1] if len(times) > 1 else None
+    return CaptureInfo(
+        kind=CaptureKind.VIDEO,
+        width=reader.width,
+        height=reader.height,
+        frame_count=count,
+        frame_rate_hz=rate_hz or measured,
+        pixel_format=reader.encoding,
+        bits=reader.bits,
+        codec=reader.codec,
+        chroma="Bayer" if reader.encoding.startswith("bayer") else "4:4:4",
+        files=(reader.path,),
+        promised_frame_count=count,
+        times_s=() if rate_hz else times,
+        unusable_times="" if times else "two of its pictures were logged at one time",
+    )

@@ -1,0 +1,125 @@
+"""One recording of a result: for the Rerun viewer, or of ROS 2 messages."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vntoolkit.errors import BadInput, VntError
+from vntoolkit.geometry.mesh import Mesh, vertex_normals
+from vntoolkit.geometry.rigid import RigidTransform
+from vntoolkit.io import atomic
+from vntoolkit.io.conventions import graphics_from_camera
+from vntoolkit.io.maps_and_meshes.masks import read_mask
+from vntoolkit.io.recordings.recorded import RecordedFrame, Stamp
+from vntoolkit.options.export import ExportFormat
+from vntoolkit.pipeline.export import ExportJob, ExportSummary, file_lengths, offset_of, own_mesh
+from vntoolkit.pipeline.opened_result import OpenedResult
+
+if TYPE_CHECKING:
+    from vntoolkit.pipeline.tracked_folder import Tracks
+
+_NS = 1_000_000_000
+_MM = 1000.0  # per metre
+
+
+def export_recording(
+    job: ExportJob,
+    result: OpenedResult,
+    track: Tracks | None,
+    on_start: Callable[[int, int], None],
+    on_frame: Callable[[], None],
+) -> ExportSummary:
+    """Write all opened frames into one file; of footage that is gone, without its pictures."""
+    options = job.options
+    suffix = f".{options.to.value}"
+    out = job.out or result.folder.root / "export" / f"surface{suffix}"
+    if out.suffix.lower() != suffix:
+        raise BadInput(f"{out}: expected the name of a file that ends in {suffix}")
+    atomic.require_writable_folder(out.parent)
+    on_start(len(result.numbers), 0)
+    frames = _Frames(job, result, track).recorded(on_frame)
+    if options.to is ExportFormat.RRD:
+        from vntoolkit.io.recordings.rerun_file import write_rrd
+
+        count = write_rrd(out, frames, options.up)
+        return ExportSummary(out=out, frames=count, kept=0, is_tracked=track is not None)
+    from vntoolkit.io.recordings.mcap_messages import write_mcap
+
+    return ExportSummary(out=out, frames=write_mcap(out, frames), kept=0)
+
+
+class _Frames:
+    """Frames of a result as recordings hold them."""
+
+    def __init__(self, job: ExportJob, result: OpenedResult, track: Tracks | None) -> None:
+        self._options, self._result, self._track = job.options, result, track
+        has_mesh = job.options.to is ExportFormat.RRD
+        self._factor = file_lengths(job.options, result.length_unit).factor if has_mesh else 1.0
+        self._offset = np.zeros(3) if track is None else offset_of(track, job.options, self._factor)
+        try:
+            self._stamps = result.capture.stamps
+        except VntError:
+            self._stamps = ()
+        self._motions = self._motions_of_object()
+
+    def recorded(self, on_frame: Callable[[], None]) -> Iterator[RecordedFrame]:
+        """Yield the opened frames in order."""
+        result, is_rrd = self._result, self._options.to is ExportFormat.RRD
+        times = result.manifest.input.times_of(result.numbers)
+        for number, time_s in zip(result.numbers, times.tolist(), strict=True):
+            entry = result.entries.get(number)
+            since_start = round(time_s * _NS)
+            stamp = Stamp(logged_ns=since_start, filmed_ns=since_start, frame_id="camera")
+            touched = result.folder.has(number, "contact")
+            yield RecordedFrame(
+                number=number,
+                time_s=time_s,
+                stamp=self._stamps[number] if self._stamps else stamp,
+                picture=result.picture(number) if is_rrd else None,
+                normals=result.normals(number),
+                depth=result.depth(number),
+                contact=read_mask(result.folder.file("contact", number)) if touched else None,
+                contact_mm2=None if entry is None else entry.contact_mm2,
+                contact_depth_mm=None if entry is None else entry.contact_depth_mm,
+                mesh=self._mesh(number) if is_rrd else None,
+                object_from_first=self._motions.get(number),
+            )
+            on_frame()
+
+    def _mesh(self, number: int) -> Mesh | None:
+        track, options = self._track, self._options
+        if track is None:
+            if not self._result.folder.has(number, "mesh"):
+                return None
+            mesh = own_mesh(self._result, number, options, self._factor)
+        elif number in track.numbers:
+            vertices = track.mesh(number).vertices * self._factor + self._offset
+            template = track.sequence.template
+            mesh = replace(template, vertices=vertices, normals=vertex_normals(vertices, template.faces))
+        else:
+            return None
+        normals = None if mesh.normals is None else graphics_from_camera(mesh.normals, options.up)
+        return replace(mesh, vertices=graphics_from_camera(mesh.vertices, options.up), normals=normals)
+
+    def _motions_of_object(self) -> dict[int, RigidTransform]:
+        """Motions of what touches a gel by frame, where `track --object` wrote them and they are known."""
+        path = self._result.folder.root / "track" / "object.csv"
+        if not path.exists():
+            return {}
+        flip = graphics_from_camera(np.eye(3), self._options.up).T
+        found = {}
+        with path.open(newline="") as stream:
+            for row in csv.DictReader(stream):
+                if row["lost"] == "0":
+                    turn = np.radians([float(row[f"turn_{axis}_deg"]) for axis in "xyz"])
+                    shift = np.array([float(row[f"{axis}_mm"]) for axis in "xyz"]) / _MM * self._factor
+                    motion = RigidTransform.from_rotation_vector(turn)
+                    found[int(row["frame"])] = RigidTransform(
+                        rotation=flip @ motion.rotation @ flip.T, translation=flip @ shift
+                    )
+        return found
