@@ -10,10 +10,10 @@ from vntoolkit.cli import run_verb
 from vntoolkit.cli.integrate import integrate
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
-from vntoolkit.geometry.maps import NormalMap
+from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
 from vntoolkit.io.footage.image_writing import write_png
 from vntoolkit.io.maps_and_meshes.exr import write_exr
-from vntoolkit.io.maps_and_meshes.maps import write_normal_map
+from vntoolkit.io.maps_and_meshes.maps import write_depth_map, write_normal_map
 from vntoolkit.io.maps_and_meshes.masks import write_mask
 from vntoolkit.io.maps_and_meshes.stored_normals import read_stored_normals
 from vntoolkit.options.export import NormalConvention
@@ -227,3 +227,29 @@ def test_sources_and_cameras_that_are_none(tmp_path):
     (tmp_path / "K.txt").write_text("1 2 3")
     with pytest.raises(BadInput, match="expected the 9 numbers of a 3 × 3 camera matrix, got 3 words"):
         integrate(tmp_path / "a.npz", out=tmp_path / "out")
+
+
+def test_a_prior_fixes_distance_and_scale(tmp_path, caplog):
+    depth, normals, mask = ball()
+    camera = Camera.pinhole(width=SIZE, height=SIZE, focal_px=5000.0)
+    np.savetxt(tmp_path / "K.txt", camera.matrix)
+    write_map(tmp_path / "a.mat", normals, mask, NormalConvention.OPENGL)
+    metres = 2.0 + depth * 2.0 / 5000.0
+    metres[::3] = np.nan
+    write_depth_map(tmp_path / "z.exr", DepthMap(depth=metres, mask=np.isfinite(metres)))
+    given = {"camera": tmp_path / "K.txt", "prior": tmp_path / "z.exr", "to": "depth"}
+    found = integrate(tmp_path / "a.mat", out=tmp_path / "out", prior_error="1", **given).depth(0)
+    seen = mask & np.isfinite(metres)
+    assert found.unit is LengthUnit.METRE
+    assert np.abs(found.depth - metres)[seen].mean() < 3e-4
+    assert "depth in metres, median 1.98" in caplog.text
+    with pytest.raises(BadInput, match="states no error"):
+        integrate(tmp_path / "a.mat", out=tmp_path / "o", **given)
+    with pytest.raises(BadInput, match="--prior or --distance, not both"):
+        integrate(tmp_path / "a.mat", out=tmp_path / "o", prior_error="1", distance=2.0, **given)
+    write_depth_map(tmp_path / "z.exr", DepthMap(depth=metres[:-1], mask=np.isfinite(metres[:-1])))
+    with pytest.raises(BadInput, match=f"expected {SIZE}×{SIZE}, the size of the normals"):
+        integrate(tmp_path / "a.mat", out=tmp_path / "o", prior_error="1", **given)
+    with pytest.raises(BadInput, match="give --prior, the depth"):
+        integrate(tmp_path / "a.mat", out=tmp_path / "o", prior_error="1")
+    assert not (tmp_path / "o").exists()

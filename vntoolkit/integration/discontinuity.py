@@ -19,17 +19,17 @@ A surface whose residuals are all explained keeps the least-squares solution.
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numba
 import numpy as np
 
-from vntoolkit.arrays import Float32Array, Float64Array, FloatArray, Mask
+from vntoolkit.arrays import Float32Array, FloatArray, Mask
 from vntoolkit.integration.edges import EdgeField, chords_from_slopes
 from vntoolkit.integration.poisson import MaskedSolver
 from vntoolkit.native import njit
 
 _LEAST_WEIGHT = 1e-5  # of a fully cut edge: keeps parts that only cuts connect from floating freely
-_SMALLEST = 1e-30
 _LEAST_NOISE = 1e-4  # pixels: rounding of float32 normals; a noiseless map has no other scale
 _BEND = 10.0  # standard deviations of a facing edge's difference per pixel of disagreement
 _MEDIAN_TO_DEVIATION = 1.4826
@@ -64,19 +64,23 @@ class SlopeErrors:
     steps: Float32Array | None = None
     of_steps: Float32Array | None = None
 
-    def variance(self, every: int = 1) -> Float32Array:
-        """Return (2, h, w), in pixels², of the differences to the right, and down; 0 where there is none.
+    @cached_property
+    def variance(self) -> Float32Array:
+        """(2, h, w), in pixels², of the differences to the right, and down; 0 where there is none."""
+        return self._variance(1)
 
-        every: n-th row of the former and column of the latter; the rest stays 0. A turn of a normal by an
-        angle ε moves its slope by ε / cos² of its inclination: grazing ends make an edge unsure. So does a
-        bend, as far as the two ends disagree on the slope (`_BEND`). An edge is as bad as the better of its
-        two squares of 2×2 pixels: where depth jumps by an amount that changes along the way, the circulation
-        is large on both sides of every edge that crosses the jump.
+    def _variance(self, every: int) -> Float32Array:
+        """Return the variance for every n-th row of the former and column of the latter; the rest stays 0.
+
+        A turn of a normal by an angle ε moves its slope by ε / cos² of its inclination: grazing ends make an
+        edge unsure. So does a bend, as far as the two ends disagree on the slope (`_BEND`). An edge is as bad
+        as the better of its two squares of 2×2 pixels: where depth jumps by an amount that changes along the
+        way, the circulation is large on both sides of every edge that crosses the jump.
         """
         turns = np.full((-(-len(self.p) // every), self.p.shape[1]), np.float32(-1))
         _normalised_turns(self.p, self.q, self.inside, every, turns)
         known = turns[turns >= 0]
-        noise = max(_deviation(known) if known.size else 0.0, _LEAST_NOISE)
+        noise = max(deviation_of(known) if known.size else 0.0, _LEAST_NOISE)
         out = np.zeros((2, *self.p.shape), np.float32)
         error = np.zeros((0, 0), np.float32) if self.error_deg is None else self.error_deg
         _variances(self.p, self.q, self.inside, error, np.float32(noise**2), every, out)
@@ -85,77 +89,136 @@ class SlopeErrors:
         return out
 
     def explain(self, depth: FloatArray) -> bool:
-        """Whether the residuals of least squares, depth (h, w) in pixels, are no larger than the errors."""
+        """Whether the residuals of least squares, depth (h, w) in pixels, are no larger than the errors.
+
+        Only a part of the edges is looked at, and its wanted differences are mean slopes.
+        """
         every = 1 + int(np.count_nonzero(self.inside)) // _LOOKED_AT_PX
-        variance, normalised = self.variance(every), []
+        variance, normalised = self._variance(every), []
         for axis, slopes in enumerate((self.p, self.q)):
             lines = np.s_[:, ::every] if axis else np.s_[::every]
             residual = np.diff(depth[lines], axis=1 - axis)
             ends = np.s_[:-1] if axis else np.s_[:, :-1]
             first, last = slopes[lines][ends], slopes[lines][1:] if axis else slopes[lines][:, 1:]
             residual -= 0.5 * (first + last)
-            if self.steps is not None:
-                residual -= self.steps[axis][lines][ends]
             spread = variance[axis][lines][ends]
             at = spread > 0
             normalised.append(np.abs(residual[at]) / np.sqrt(spread[at]))
-        return _are_explained(np.concatenate(normalised))
+        return are_explained(np.concatenate(normalised))
 
 
-def solve_discontinuous(solver: MaskedSolver, errors: SlopeErrors, depth: FloatArray) -> FloatArray:
-    """Return depth in pixels (h, w), of arbitrary offset per component; depth: that of least squares."""
-    difference, variance = chords_from_slopes(errors.p, errors.q), errors.variance()
-    if errors.steps is not None:
-        difference += errors.steps
-    inside = variance > 0
-    trust = np.divide(1.0, variance, out=np.zeros_like(variance), where=inside)
-    trust /= trust.max(initial=_SMALLEST)
-    variance[~inside], difference[~inside] = 1.0, 0.0
-    residual = _differences(depth) - difference
-    weight, tolerance = trust, _FIRST_TOLERANCE
-    for progress in np.linspace(0.0, 1.0, _ROUNDS + 1):
-        field = EdgeField(difference=-residual.astype(np.float32), weight=weight)
-        depth = depth + solver.solve(
+class JumpSolver:
+    """Depth in pixels (h, w), of arbitrary offset per component, that may jump where the errors allow it."""
+
+    def __init__(self, solver: MaskedSolver, errors: SlopeErrors) -> None:
+        self._solver = solver
+        self._variance = errors.variance
+        self.held = np.zeros_like(self._variance)  # weights of the last step
+        self.difference = chords_from_slopes(errors.p, errors.q)
+        if errors.steps is not None:
+            self.difference += errors.steps
+
+    def cut_once(self, depth: FloatArray) -> FloatArray:
+        """Return depth, of least squares, after one step with the last weights."""
+        residuals = normalised_residuals(depth, self.difference, self._variance)
+        return self._step(depth, self._scale(residuals), _ROUND_TOLERANCE)
+
+    def solve(self, depth: FloatArray) -> FloatArray:
+        """Return the depth of all rounds; depth: that of least squares."""
+        depth = self._step(depth, np.inf, _FIRST_TOLERANCE)
+        for progress in np.linspace(0.0, 1.0, _ROUNDS + 1)[:-1]:
+            residuals = normalised_residuals(depth, self.difference, self._variance)
+            if progress == 0.0 and are_explained(residuals):
+                break  # only grazing normals, which now count less, were off
+            widening = _WIDENING ** max(0.0, 1.0 - progress / _NARROW_FROM)
+            depth = self._step(depth, self._scale(residuals) * widening, _ROUND_TOLERANCE)
+        return depth
+
+    def _scale(self, residuals: Float32Array) -> float:
+        return max(_SCALE * deviation_of(residuals), 1.0)
+
+    def _step(self, depth: FloatArray, scale: float, tolerance: float) -> FloatArray:
+        """Solve with weights of the residuals of `depth`; scale: standard deviations that keep a quarter."""
+        field = EdgeField(difference=np.zeros_like(self._variance), weight=np.zeros_like(self._variance))
+        _reweigh(depth, self.difference, self._variance, scale, field.difference, field.weight)
+        self.held = field.weight
+        return depth + self._solver.solve(
             field, weighted=True, tolerance=tolerance, most_iterations=_ROUND_ITERATIONS
         )
-        residual = _differences(depth) - difference
-        normalised = np.abs(residual[inside]) / np.sqrt(variance[inside])
-        if tolerance == _FIRST_TOLERANCE and _are_explained(normalised):
-            break  # only grazing normals, which now count less, were off
-        widening = _WIDENING ** max(0.0, 1.0 - progress / _NARROW_FROM)
-        scale = max(_SCALE * _deviation(normalised), 1.0) * widening
-        share = kept_share(residual, difference, scale**2 * variance)
-        weight, tolerance = trust * np.maximum(share, _LEAST_WEIGHT), _ROUND_TOLERANCE
-    return depth
 
 
-def _are_explained(normalised: FloatArray) -> bool:
-    """Whether the largest residual (m,) is no larger than the largest of so many normal deviates may be."""
-    if not normalised.size:
-        return True
-    largest = math.sqrt(2.0 * math.log(normalised.size)) + 1.0
-    return bool(normalised.max() <= largest * max(_deviation(normalised), 1.0))
-
-
-def _deviation(normalised: FloatArray) -> float:
-    return _MEDIAN_TO_DEVIATION * float(np.median(normalised[:: 1 + len(normalised) // _VOTES]))
-
-
-def kept_share(residual: Float64Array, wanted: Float64Array, tolerated: Float32Array) -> Float32Array:
-    """Return by how much each edge (2, h, w) still holds two pixels together, from 0 to 1.
-
-    tolerated: squared residual, in pixels², at which an edge along the slope keeps a quarter.
-    """
-    against = np.where(residual * wanted < 0, 1.0 + (_AGAINST_SLOPE * wanted) ** 2, 1.0)
-    return np.square(1.0 / (1.0 + residual**2 / (tolerated * against))).astype(np.float32)
-
-
-def _differences(depth: FloatArray) -> Float64Array:
-    """Return (2, h, w), to the pixel on the right and below; 0 beyond the last."""
-    out = np.zeros((2, *depth.shape))
-    np.subtract(depth[:, 1:], depth[:, :-1], out=out[0, :, :-1])
-    np.subtract(depth[1:], depth[:-1], out=out[1, :-1])
+def normalised_residuals(depth: FloatArray, difference: FloatArray, variance: Float32Array) -> Float32Array:
+    """Return (2, h, w): sizes of what edges still want, over its deviation; -1 for no edge."""
+    out = np.empty_like(variance)
+    _normalised(depth, difference, variance, out)
     return out
+
+
+def inverse_of(variance: Float32Array) -> Float32Array:
+    """Return weights (2, h, w), from 0 for no edge to 1."""
+    weight = np.divide(1.0, variance, out=np.zeros_like(variance), where=variance > 0)
+    return np.asarray(weight / (weight.max() or 1.0), np.float32)
+
+
+def are_explained(residuals: Float32Array) -> bool:
+    """Whether the largest residual is no larger than the largest of so many normal deviates may be."""
+    count = int(np.count_nonzero(residuals >= 0))
+    largest = math.sqrt(2.0 * math.log(max(count, 1))) + 1.0
+    return bool(residuals.max(initial=0.0) <= largest * max(deviation_of(residuals), 1.0))
+
+
+def deviation_of(residuals: Float32Array) -> float:
+    """Return the deviation of sizes that are not below 0, by their median."""
+    some = residuals[residuals >= 0]
+    return _MEDIAN_TO_DEVIATION * float(np.median(some[:: 1 + len(some) // _VOTES])) if len(some) else 0.0
+
+
+@njit(cache=True, parallel=True)
+def _normalised(depth, difference, variance, out):  # type: ignore[no-untyped-def]
+    height, width = depth.shape
+    for v in numba.prange(height):
+        for k in range(2):
+            y, room = v + k, width - 1 + k
+            for u in range(width):
+                spread = variance[k, v, u]
+                if u < room and y < height and spread > 0:
+                    residual = depth[y, u + 1 - k] - depth[v, u] - difference[k, v, u]
+                    out[k, v, u] = abs(residual) / np.sqrt(spread)
+                else:
+                    out[k, v, u] = np.float32(-1.0)
+
+
+@njit(cache=True, parallel=True, error_model="numpy")
+def _reweigh(depth, difference, variance, scale, missing, weight):  # type: ignore[no-untyped-def]
+    """Fill (2, h, w) with what edges still want, and with their weights: inverse variances, less where cut.
+
+    scale: standard deviations of a residual at which an edge along the slope keeps a quarter.
+    """
+    height, width = depth.shape
+    one, least, against = np.float32(1.0), np.float32(_LEAST_WEIGHT), np.float32(_AGAINST_SLOPE)
+    smallest = np.float32(np.inf)
+    for k in range(2):
+        for v in range(height):
+            for u in range(width):
+                if variance[k, v, u] > 0:
+                    smallest = min(smallest, variance[k, v, u])
+    for v in numba.prange(height):
+        for k in range(2):
+            y = v + k
+            if y >= height:
+                continue
+            for u in range(width - 1 + k):
+                spread = variance[k, v, u]
+                if spread <= 0:
+                    continue
+                wanted = difference[k, v, u]
+                residual = depth[y, u + 1 - k] - depth[v, u] - wanted
+                tolerated = spread * np.float32(scale * scale)
+                if residual * wanted < 0:
+                    tolerated *= one + against * against * wanted * wanted
+                kept = one / (one + residual * residual / tolerated)
+                missing[k, v, u] = -residual
+                weight[k, v, u] = max(kept * kept, least) * smallest / spread
 
 
 @njit(cache=True, inline="always")

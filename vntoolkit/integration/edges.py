@@ -150,6 +150,14 @@ class Components:
         here = values[self.box]
         return self._whole(np.where(self._inside, here / self._means(here), 0.0))
 
+    def moved_to(self, values: FloatArray, wanted: FloatArray, weight: FloatArray) -> Float64Array:
+        """Shift `values`, of the box, by component, to the mean of `wanted`; without weight: of all."""
+        labels = self._labels.ravel()
+        totals = np.bincount(labels, weights=weight.ravel(), minlength=self.count + 1)
+        gaps = np.bincount(labels, (weight * (wanted - values)).ravel(), self.count + 1)
+        means = np.where(totals > 0, gaps / np.where(totals > 0, totals, 1.0), gaps.sum() / totals.sum())
+        return np.where(self._inside, values + means[self._labels], 0.0)
+
     def _whole(self, part: Array) -> Array:
         whole = np.zeros(self._shape, part.dtype)
         whole[self.box] = part

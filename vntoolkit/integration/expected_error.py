@@ -15,7 +15,7 @@ import numpy as np
 from numba import prange
 from scipy import ndimage
 
-from vntoolkit.arrays import FloatArray, Mask
+from vntoolkit.arrays import Float32Array, FloatArray, Mask
 from vntoolkit.checks import require_same_size
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
@@ -53,13 +53,28 @@ def with_expected_depth_error(depth_map: DepthMap, normal_map: NormalMap, camera
     if not span > 0:
         error[:] = 0.0
     else:
-        block = -(-max(mask.shape) // _LARGEST_SIDE)
-        block -= block % max(1, block // _SAMPLES_A_SIDE)  # a whole number of samples
-        spread, inside = _coarse_error(normal_map, mask, block, rays_from_camera(camera))
-        spread = 100.0 * _NINE_OF_TEN / span * _filled(spread, inside)
+        spread, block = _spread_of(normal_map, mask, rays_from_camera(camera))
         scale = np.ascontiguousarray(depth_map.depth) if camera.is_perspective else None
-        _enlarge(spread.astype(np.float32), block, mask, scale, error)
+        _enlarge(spread * np.float32(100.0 * _NINE_OF_TEN / span), block, mask, scale, error)
     return replace(depth_map, error_percent=error)
+
+
+def depth_deviations(normal_map: NormalMap, mask: Mask, rays: RayField) -> Float32Array:
+    """Return (h, w), the standard deviation of depth (perspective: of log depth); 0 outside the mask.
+
+    normal_map: (h, w), with its errors.
+    """
+    spread, block = _spread_of(normal_map, mask, rays)
+    out = np.empty(mask.shape, np.float32)
+    _enlarge(spread, block, mask, None, out)
+    return out
+
+
+def _spread_of(normal_map: NormalMap, mask: Mask, rays: RayField) -> tuple[Float32Array, int]:
+    """Return the standard deviation by blocks, and the side of a block."""
+    block = -(-max(mask.shape) // _LARGEST_SIDE)
+    block -= block % max(1, block // _SAMPLES_A_SIDE)  # a whole number of samples
+    return _filled(*_coarse_error(normal_map, mask, block, rays)).astype(np.float32), block
 
 
 def _coarse_error(normal_map: NormalMap, mask: Mask, block: int, rays: RayField) -> tuple[FloatArray, Mask]:

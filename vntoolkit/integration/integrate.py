@@ -14,9 +14,18 @@ from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import HALF_WEIGHT_DEG, DepthMap, LengthUnit, NormalMap
 from vntoolkit.integration.cast_shadows import DepthSteps, with_steps
-from vntoolkit.integration.discontinuity import SlopeErrors, solve_discontinuous
-from vntoolkit.integration.edges import Components, edges_from_slopes
+from vntoolkit.integration.discontinuity import (
+    JumpSolver,
+    SlopeErrors,
+    are_explained,
+    deviation_of,
+    inverse_of,
+    normalised_residuals,
+)
+from vntoolkit.integration.edges import Components, EdgeField, edges_from_slopes
+from vntoolkit.integration.expected_error import depth_deviations
 from vntoolkit.integration.poisson import CosineSolver, FourierSolver, MaskedSolver, RectangleSolver
+from vntoolkit.integration.prior import DepthPrior
 from vntoolkit.integration.slopes import RayField, rays_from_camera, slopes_from_normals
 from vntoolkit.native import njit
 from vntoolkit.options.depth import IntegrationOptions, Integrator, Precision
@@ -27,6 +36,7 @@ _LEAST_TRUST = np.float32(1e-4)  # of a pixel in the domain: with none, what lie
 _LEAST_SIZE = 5  # pixels that the one-sided stencils need
 _FEWEST_PIXELS = 64
 _VOTES = 20_000  # pixels that the median is taken over, evenly spread
+_NOTICED = 2.0  # standard deviations of the depth that cutting has to change somewhere
 _SMALLEST_SHARE = 0.02  # of a part's pixels that the reference must cover
 
 
@@ -57,10 +67,13 @@ class DepthIntegrator:
         self.parts: Components | None = None  # of the map integrated last, where they had to be found
 
     @checks_kinds
-    def integrate(self, normal_map: NormalMap, steps: DepthSteps | None = None) -> DepthMap:
+    def integrate(
+        self, normal_map: NormalMap, steps: DepthSteps | None = None, prior: DepthPrior | None = None
+    ) -> DepthMap:
         """Return the depth of `normal_map` (h, w), in the camera frame.
 
-        steps: what is known of steps of depth between neighbours; COSINE and FOURIER cannot use them.
+        steps: what is known of steps of depth between neighbours. prior: depth that is known beside the
+        normals, which fixes offset and scale. COSINE and FOURIER cannot use them.
 
         Lengths are in pixels for an orthographic camera of scale 1, in its length unit for another scale,
         and free (mean 1) for a perspective camera. Raises `BadInput` where the size is not the camera's,
@@ -74,7 +87,13 @@ class DepthIntegrator:
         domain = self._domain_of(normal_map)
         choice, full = self._options.integrator, bool(domain.all())
         self._require_domain(domain)
-        if choice in _RECTANGLE or (choice is Integrator.DISCONTINUITY and full and steps is None):
+        if prior is not None:
+            if choice in _RECTANGLE:
+                raise BadInput(f"the {choice.value} integrator takes no prior: use poisson or discontinuity")
+            require_same_size(prior.mask, "prior depth", domain, "normals")
+            require_some(prior.mask & domain, "prior depth where normals are valid")
+        plain = steps is None and prior is None
+        if choice in _RECTANGLE or (choice is Integrator.DISCONTINUITY and full and plain):
             self.parts = None
             p, q = slopes_from_normals(
                 normal_map.normals_in_camera, self._rays, self._options.steepest_slope_deg
@@ -86,9 +105,11 @@ class DepthIntegrator:
                 or slope_errors(normal_map, p, q, self._rays).explain(solution * self._rays.pixels_per_unit)
             ):
                 return self._finish(solution, domain)
-        return self._integrate_domain(normal_map, domain, steps)
+        return self._integrate_domain(normal_map, domain, steps, prior)
 
-    def _integrate_domain(self, normal_map: NormalMap, domain: Mask, steps: DepthSteps | None) -> DepthMap:
+    def _integrate_domain(
+        self, normal_map: NormalMap, domain: Mask, steps: DepthSteps | None, prior: DepthPrior | None
+    ) -> DepthMap:
         normals = normal_map.normals_in_camera
         if not sum_is_finite(normals):  # a pixel outside the domain may be anything
             require_finite(normals[domain], "normals to integrate")
@@ -97,7 +118,14 @@ class DepthIntegrator:
         self.parts = self._domain.components
         poisson = self._options.integrator is Integrator.POISSON or not self._may_jump
         solve = self._domain.poisson if poisson else self._domain.discontinuity
-        return self._finish(solve(normal_map, steps), domain, self._domain.components)
+        solution = solve(normal_map, steps)
+        if prior is None:
+            return self._finish(solution, domain, self._domain.components)
+        solution = self._domain.fused(normal_map, steps, prior, solution)
+        if self._camera.is_perspective:
+            depth = np.where(domain, np.exp(solution), 0.0)
+            return DepthMap(depth=depth, mask=domain, unit=LengthUnit.METRE)
+        return self._finish(solution, domain, self._domain.components)
 
     def _domain_of(self, normal_map: NormalMap) -> Mask:
         domain = normal_map.mask
@@ -167,6 +195,7 @@ class DomainSolver:
         self._rays = rays
         self._options = options
         self._last: Float64Array | None = None
+        self._jumps: JumpSolver | None = None  # of the last solution, where edges were cut
 
     @cached_property
     def _masked(self) -> MaskedSolver:
@@ -183,18 +212,68 @@ class DomainSolver:
         Conjugate gradients: the cosine transform is the preconditioner without weights, multigrid with them.
         """
         p, q = self._slopes(normal_map)
+        self._jumps = None
         return self.components.remove_means(self._least_squares(p, q, self._weight(normal_map), steps))
 
     def discontinuity(self, normal_map: NormalMap, steps: DepthSteps | None = None) -> Float64Array:
-        """Least squares; where the errors of the normals do not explain its residuals, with edges cut."""
+        """Least squares; where the errors of the normals do not explain its residuals, with edges cut.
+
+        What cutting changes less than the stated errors of the normals may bend the depth is left as it is.
+        """
         box, scale = self.components.box, self._rays.pixels_per_unit
         p, q = self._slopes(normal_map)
-        smooth = self._least_squares(p, q, self._weight(normal_map), steps)
+        self._jumps = None
         errors = slope_errors(normal_map, p, q, self._rays, self.domain, box, steps)
-        if errors.explain(smooth * scale):
+        edges = edges_from_slopes(p, q, self.domain[box])
+        trusted = errors.error_deg is not None or errors.steps is not None
+        if errors.steps is not None:
+            edges = replace(edges, difference=edges.difference + errors.steps / np.float32(scale))
+        if trusted:
+            edges = replace(edges, weight=inverse_of(errors.variance))
+        smooth = self._solve(edges, weighted=trusted)
+        wanted = edges.difference * np.float32(scale)
+        if are_explained(normalised_residuals(smooth * scale, wanted, errors.variance)):
             return self.components.remove_means(smooth)
-        solution = solve_discontinuous(self._masked, errors, smooth * scale)
-        return self.components.remove_means(solution / scale)
+        jumps = JumpSolver(self._masked, errors)
+        if normal_map.error_deg is not None:
+            change = self.components.remove_means(jumps.cut_once(smooth * scale) / scale - smooth)
+            if np.all(np.abs(change) <= _NOTICED * depth_deviations(normal_map, self.domain, self._rays)):
+                return self.components.remove_means(smooth)
+        if trusted:  # with the weights of errors, parts that hang on grazing normals may lie far off
+            smooth = self._least_squares(p, q, self._weight(normal_map), steps)
+        self._jumps = jumps
+        return self.components.remove_means(jumps.solve(smooth * scale) / scale)
+
+    def fused(
+        self, normal_map: NormalMap, steps: DepthSteps | None, prior: DepthPrior, solution: Float64Array
+    ) -> Float64Array:
+        """Return (h, w), the least squares of edges and prior, each as exact as its errors are small.
+
+        solution: of the normals alone; what it cut stays cut. The errors of slopes are no smaller than its
+        residuals say. A component without prior keeps its form, at the mean of the others.
+        """
+        box, scale = self.components.box, self._rays.pixels_per_unit
+        p, q = self._slopes(normal_map)
+        errors, own = (
+            slope_errors(normal_map, p, q, self._rays, self.domain, box, steps),
+            solution[box] * scale,
+        )
+        if self._jumps is None:
+            difference = edges_from_slopes(p, q, self.domain[box]).difference * np.float32(scale)
+            difference += 0.0 if errors.steps is None else errors.steps
+            weight = inverse_of(errors.variance)
+        else:
+            difference, weight = self._jumps.difference, self._jumps.held
+        off = max(deviation_of(normalised_residuals(own, difference, errors.variance)), 1.0)
+        unit = off**2 * float(errors.variance[errors.variance > 0].min())  # variance of the weight 1
+        values, information = prior.measurements(scale, self._rays.depth_scales_ray > 0)
+        value, pull = values[box], np.where(self.domain[box], information[box], 0.0) * unit
+        field = EdgeField(difference=np.asarray(difference, np.float32), weight=weight)
+        start = self.components.moved_to(own, value, pull)
+        found = self._masked.solve(field, start, weighted=True, known=(value, pull))
+        out = np.zeros_like(solution)
+        out[box] = np.where(self.domain[box], found, 0.0) / scale
+        return out
 
     def _slopes(self, normal_map: NormalMap) -> tuple[Float32Array, Float32Array]:
         normals = normal_map.normals_in_camera[self.components.box]
@@ -213,7 +292,9 @@ class DomainSolver:
         if steps is not None:
             known, variances = steps.images(*box)
             edges = with_steps(edges, known / np.float32(self._rays.pixels_per_unit), variances)
-        weighted = weight is not None or steps is not None
+        return self._solve(edges, weighted=weight is not None or steps is not None)
+
+    def _solve(self, edges: EdgeField, *, weighted: bool) -> Float64Array:
         self._last = self._masked.solve(edges, self._last, weighted=weighted)
         self.iterations = self._masked.iterations
         return self._last

@@ -155,12 +155,14 @@ class MaskedSolver:
         start: FloatArray | None = None,
         *,
         weighted: bool = False,
+        known: tuple[FloatArray, FloatArray] | None = None,
         tolerance: float | None = None,
         most_iterations: int | None = None,
     ) -> Float64Array:
         """Return the depth (h, w) whose differences fit `edges` best; offsets per component are arbitrary.
 
-        weighted: whether the weights differ between edges of the domain. start: a first guess (h, w), for
+        weighted: whether the weights differ between edges of the domain. known: depth (h, w) and its weights,
+        beside those of the edges; needs `weighted`. start: a first guess (h, w), for
         example the frame before. tolerance, most_iterations: where it stops, as a step among others need not
         be solved to the end. Without: those of the solver; raises `SolverFailed` where they do not suffice.
         """
@@ -168,9 +170,13 @@ class MaskedSolver:
         self._levels = _levels_of(right, down) if weighted else None
         load, depth = np.zeros(right.shape), np.zeros(right.shape)
         _load(*(self._padded(each) for each in edges.difference), right, down, load)
+        pull = None
+        if known is not None:
+            pull = self._padded(known[1])
+            load += pull * self._padded(known[0])
         if start is not None and load.any():  # else 0 is the solution
             depth[1:-1, 1:-1] = self._padded(start)[1:-1, 1:-1]
-        self._iterate(right, down, depth, load, tolerance, most_iterations)
+        self._iterate(right, down, pull, depth, load, tolerance, most_iterations)
         out = np.zeros(self._shape)
         box_height, box_width = (s.stop - s.start for s in self._box)
         out[self._box] = depth[1 : box_height + 1, 1 : box_width + 1]
@@ -180,6 +186,7 @@ class MaskedSolver:
         self,
         right: Float32Array,
         down: Float32Array,
+        pull: FloatArray | None,
         depth: Float64Array,
         load: Float64Array,
         given_tolerance: float | None,
@@ -190,7 +197,7 @@ class MaskedSolver:
         most = self._most_iterations if given_most is None else given_most
         direction, product = np.zeros(depth.shape, np.float32), np.zeros(depth.shape)
         scaled, sums = np.empty(self._inside.shape, np.float32), np.zeros(len(depth))
-        _apply(right, down, depth, product, sums)
+        _apply_known(right, down, pull, depth, product, sums)
         residual = load - product
         scale = float(np.vdot(depth, load))
         largest = _largest(residual) or 1.0
@@ -209,7 +216,7 @@ class MaskedSolver:
                 if left <= tolerance**2 * scale:
                     return
             _advance(direction, correction, energy / previous)
-            _apply(right, down, direction, product, sums)
+            _apply_known(right, down, pull, direction, product, sums)
             step = energy / float(sums.sum())
             self.iterations += 1
         if given_most is not None:
@@ -235,6 +242,18 @@ class MaskedSolver:
         cropped = image[self._box]
         out[1 : cropped.shape[0] + 1, 1 : cropped.shape[1] + 1] = cropped
         return out
+
+
+def _apply_known(
+    right: Float32Array, down: Float32Array, pull: FloatArray | None, x: FloatArray, out: Float64Array,
+    sums: Float64Array,
+) -> None:  # fmt: skip
+    """`_apply` of edges and of known depths."""
+    _apply(right, down, x, out, sums)
+    if pull is not None:
+        held = pull * x
+        out += held
+        sums += np.einsum("vu,vu->v", held, x)
 
 
 def _levels_of(right: Array, down: Array) -> GridHierarchy:

@@ -1,4 +1,9 @@
-"""A triangle mesh or a point cloud from depth, with one vertex per valid pixel."""
+"""A triangle mesh or a point cloud from depth, with one vertex per valid pixel.
+
+A mesh's outline follows that of its surface between the pixels: in a window around each pixel of the rim, the
+share of the pixels that belong to the same surface, and where it falls, tell how far the edge is. The vertex
+goes there, on the plane of its normal. Else the outline would have the steps of the pixels.
+"""
 
 from typing import Any
 
@@ -36,7 +41,7 @@ def mesh_from_depth(
     normal_map: NormalMap | None = None,
     options: MeshOptions | None = None,
 ) -> Mesh:
-    """Join neighbouring valid pixels to triangles that face the camera.
+    """Join neighbouring valid pixels to triangles that face the camera; the rim lies between pixels.
 
     depth_map: (h, w). rgb: (h, w, 3) becomes the vertex colours, clipped to 0 … 1. normal_map: its normals
     become the vertex normals, and its errors the vertices'; without, the normals are the mesh's own. Returns
@@ -46,17 +51,55 @@ def mesh_from_depth(
     """
     options = options or MeshOptions()
     _require_match(depth_map, camera, rgb, normal_map)
-    rows, columns, faces = _grid_of(depth_map, camera, options)
+    rows, columns, faces, moves = _grid_of(depth_map, camera, options)
     pixels = rows * camera.width + columns
-    points = camera.unproject(np.stack([columns, rows], axis=-1), _values_at(depth_map.depth, pixels))
+    grid = np.stack([columns, rows], axis=-1)
+    depth = _values_at(depth_map.depth, pixels)
+    points = camera.unproject(grid, depth)
+    normals = _normals_at(normal_map, pixels, points, faces)
+    places = grid + _without_folds(grid, moves, faces)
+    moved = np.flatnonzero((places != grid).any(axis=1))
+    points[moved] = _on_planes(points[moved], normals[moved], places[moved], depth[moved], camera)
     return Mesh(
         vertices=points,
         faces=faces,
-        normals=_normals_at(normal_map, pixels, points, faces),
+        normals=normals,
         colours=_colours_at(rgb, pixels),
         error_deg=None if normal_map is None else _values_at(normal_map.error_deg, pixels),
-        uv=_uv_at(camera, rows, columns),
+        uv=_uv_at(camera, places),
     )
+
+
+def _without_folds(grid: IntArray, moves: FloatArray, faces: Faces) -> FloatArray:
+    """Return moves (n, 2) in pixels; none of a triangle that would lose most of its area, or turn over."""
+    at_rim = faces[(moves[faces] != 0).any(axis=(1, 2))]
+    while len(at_rim):
+        a, b, c = ((grid + moves)[at_rim[:, i]] for i in range(3))
+        first, second = b - a, c - a
+        twice = first[:, 1] * second[:, 0] - first[:, 0] * second[:, 1]
+        a, b, c = (grid[at_rim[:, i]] for i in range(3))
+        first, second = b - a, c - a
+        bad = twice < _LEAST_AREA * (first[:, 1] * second[:, 0] - first[:, 0] * second[:, 1])
+        bad &= (moves[at_rim] != 0).any(axis=(1, 2))
+        if not bad.any():
+            break
+        moves[at_rim[bad]] = 0.0
+    return moves
+
+
+def _on_planes(
+    points: Points, normals: Points, places: FloatArray, depth: FloatArray, camera: Camera
+) -> Points:
+    """Return where the rays of other places (n, 2) meet the planes of points and normals (n, 3).
+
+    Where the plane is seen at a grazing angle, depth stays.
+    """
+    here = camera.unproject(places, depth)
+    ray = camera.unproject(places, depth + 1.0) - here
+    facing = np.einsum("ni,ni->n", normals, ray) / np.linalg.norm(ray, axis=1)
+    along = np.einsum("ni,ni->n", normals, points - here)
+    way = np.where(facing < -_LEAST_FACING, along / np.minimum(facing, -_LEAST_FACING), 0.0)
+    return here + way[:, None] * ray / np.linalg.norm(ray, axis=1, keepdims=True)
 
 
 @checks_kinds
@@ -91,11 +134,13 @@ def _require_match(
         require_same_size(depth_map.depth, "depth map", normal_map.mask, "normal map")
 
 
-def _grid_of(depth_map: DepthMap, camera: Camera, options: MeshOptions) -> tuple[IntArray, IntArray, Faces]:
-    """Return the rows and columns of the pixels that become vertices, and the triangles between them."""
+def _grid_of(
+    depth_map: DepthMap, camera: Camera, options: MeshOptions
+) -> tuple[IntArray, IntArray, Faces, FloatArray]:
+    """Return rows and columns of the pixels that become vertices, triangles, and moves (n, 2) to the edge."""
     step = options.stride
     mask = depth_map.mask[::step, ::step]
-    box = box_of(mask)
+    box, whole = box_of(mask), mask.shape
     mask = np.ascontiguousarray(mask[box])
     depth = np.ascontiguousarray(depth_map.depth[::step, ::step][box])
     kept = np.zeros(mask.shape, np.uint8)
@@ -116,15 +161,18 @@ def _grid_of(depth_map: DepthMap, camera: Camera, options: MeshOptions) -> tuple
     corner = box[0].start, box[1].start
     faces = np.empty((first[1, -1], 3), np.int32)
     index = np.empty(mask.shape, np.int32)
+    moves = np.zeros((len(rows), 2))
     _vertices_kernel(kept, first[0], corner, step, index, rows, columns)
     _faces_kernel(kept, first[1], index, faces)
-    return rows, columns, faces
+    frame = (*(corner[i] == 0 for i in range(2)), *(box[i].stop == whole[i] for i in range(2)))
+    _moves_kernel(mask, depth, kept, index, largest, camera.is_perspective, frame, moves)
+    return rows, columns, faces, moves * step
 
 
-def _uv_at(camera: Camera, rows: IntArray, columns: IntArray) -> FloatArray:
-    uv = np.empty((len(rows), 2))
-    uv[:, 0] = (columns + 0.5) / camera.width
-    uv[:, 1] = 1.0 - (rows + 0.5) / camera.height
+def _uv_at(camera: Camera, places: FloatArray) -> FloatArray:
+    uv = np.empty((len(places), 2))
+    uv[:, 0] = (places[:, 0] + 0.5) / camera.width
+    uv[:, 1] = 1.0 - (places[:, 1] + 0.5) / camera.height
     return uv
 
 
@@ -150,8 +198,15 @@ def _values_at(image: Array | None, pixels: IntArray) -> Any:
     return image.reshape(-1, *image.shape[2:]).take(pixels, axis=0)  # half the time of [rows, columns]
 
 
+_LEAST_AREA = 0.1  # of a triangle at the rim, beside what it had
+_LEAST_FACING = 0.2  # cosine between normal and ray below which a plane tells no depth
+_SMOOTHED_PX = 2.0  # standard deviation of the Gaussian that smooths the outline: steps are a pixel high …
+_WINDOW = 4  # … and its reach
+_FARTHEST_MOVE = 1.0  # pixels: the edge is before the next
+
 # Compiled loops. A pixel stands for the quad whose upper left corner it is: corners a, b (right), c (below)
-# and d (below right). Four valid corners make two triangles, three make one.
+# and d (below right). Four valid corners make two triangles; three, or four of which one lies beyond a jump,
+# make one.
 
 # x right, y down, z away: (top left, bottom left, top right) turns counter-clockwise for the camera
 _CORNERS = ((0, 2, 1), (1, 2, 3), (0, 2, 3), (0, 3, 1))
@@ -170,7 +225,7 @@ def _triangles_kernel(mask: Mask, depth: Depth, largest: float, times_depth: boo
                 z = (depth[v, u], depth[v, u + 1], depth[v + 1, u], depth[v + 1, u + 1])
                 for i in range(4):
                     a, b, c = _CORNERS[i]
-                    if (count == 4 and i > 1) or not (valid[a] and valid[b] and valid[c]):
+                    if not (valid[a] and valid[b] and valid[c]) or (count == 4 and i > 1 and bits & 3):
                         continue
                     step = max(z[a], z[b], z[c]) - min(z[a], z[b], z[c])
                     mean = (abs(z[a]) + abs(z[b]) + abs(z[c])) / 3.0 if times_depth else 1.0
@@ -238,3 +293,48 @@ def _faces_kernel(kept: Mask, first: IntArray, index: IntArray, faces: Faces) ->
                         corner = _CORNERS[i][j]
                         faces[number, j] = index[v + (corner >> 1), u + (corner & 1)]
                     number += 1
+
+
+@njit(cache=True, parallel=True)
+def _moves_kernel(
+    mask: Mask,
+    depth: Depth,
+    kept: Mask,
+    index: IntArray,
+    largest: float,
+    times_depth: bool,
+    frame: tuple[bool, bool, bool, bool],
+    moves: FloatArray,
+) -> None:
+    """Fill moves (n, 2), along u and v, of the pixels of the rim. frame: whether a side is the picture's."""
+    h, w = mask.shape
+    for row in prange(h):
+        v = np.int64(row)  # signed, for what lies beyond the border
+        for u in range(w):
+            if not _is_used(kept, v, u):
+                continue
+            total, share, fall_u, fall_v, at_rim = 0.0, 0.0, 0.0, 0.0, False
+            step = largest * (abs(depth[v, u]) if times_depth else 1.0)
+            for j in range(-_WINDOW, _WINDOW + 1):
+                for i in range(-_WINDOW, _WINDOW + 1):
+                    y, x = v + j, u + i
+                    if (y < 0 and frame[0]) or (y >= h and frame[2]):
+                        y = v
+                    if (x < 0 and frame[1]) or (x >= w and frame[3]):
+                        x = u
+                    weight = np.exp(-0.5 * (i * i + j * j) / _SMOOTHED_PX**2)
+                    total += weight
+                    here = 0 <= y < h and 0 <= x < w and mask[y, x]
+                    if here and abs(depth[y, x] - depth[v, u]) <= step * max(abs(i), abs(j), 1):
+                        share += weight
+                        fall_u += weight * i
+                        fall_v += weight * j
+                    elif abs(i) + abs(j) == 1:
+                        at_rim = True
+            length = np.hypot(fall_u, fall_v)
+            if not at_rim or length == 0.0:
+                continue
+            way = _SMOOTHED_PX**2 * (share - 0.5 * total) / length
+            way = max(min(way, _FARTHEST_MOVE), -_FARTHEST_MOVE)
+            moves[index[v, u], 0] = -way * fall_u / length
+            moves[index[v, u], 1] = -way * fall_v / length

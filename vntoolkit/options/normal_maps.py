@@ -33,6 +33,12 @@ class IntegrateArguments(FrameOptions, IntegrationOptions, MeshOptions, PictureL
     z away). Default: what the file states, else what the first map itself tells."""
     distance: float | None = None
     """Distance in metres from a perspective camera to the subject. It fixes the scale."""
+    prior: OptionalFile = named(None)
+    """Depth that is known, of stereo or a sensor: an EXR with a channel Z, of the map's size. In metres, in
+    pixels for an orthographic camera. NaN where it is not known."""
+    prior_error: str | None = None
+    """What nine of ten errors of the prior stay within: a number, in millimetres (in pixels for an
+    orthographic camera), or an EXR in the prior's unit. Default: what the prior states."""
     to: Named[Product, Literal["normals", "depth", "mesh"]] = named(Product.MESH)
     """How far to go: depth or mesh."""
     overwrite: bool = False

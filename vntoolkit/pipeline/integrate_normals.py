@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from vntoolkit.arrays import Mask
+from vntoolkit.arrays import FloatArray, Mask
 from vntoolkit.checks import require_some
 from vntoolkit.diagnosis.axes import likeliest_convention
 from vntoolkit.errors import BadInput
@@ -18,10 +18,12 @@ from vntoolkit.geometry.camera import Camera, CameraModel
 from vntoolkit.geometry.maps import LengthUnit, NormalMap
 from vntoolkit.integration.expected_error import with_expected_depth_error
 from vntoolkit.integration.integrate import DepthAnchor, DepthIntegrator
+from vntoolkit.integration.prior import DepthPrior, with_prior_error
 from vntoolkit.io.files import read_text
 from vntoolkit.io.footage.captures import Capture, open_capture
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.footage.sequence import natural_key, stated_numbers
+from vntoolkit.io.maps_and_meshes.maps import read_depth_map
 from vntoolkit.io.maps_and_meshes.masks import read_mask
 from vntoolkit.io.maps_and_meshes.stored_normals import (
     SUFFIXES,
@@ -147,6 +149,10 @@ def integrate_normals(
     frames = FrameRange.from_text(asked.frames or "::")
     numbers = tuple(frames.numbers(source.count))
     require_some(np.ones(len(numbers), np.bool_), f"{asked.source}: frames {frames.to_text()}")
+    if asked.prior is not None and len(numbers) > 1:
+        raise BadInput(
+            f"{asked.source}: --prior is of one normal map, got {len(numbers)}; choose one by --frames"
+        )
     mask_file = asked.mask or source.mask
     mask = None if mask_file is None else read_mask(mask_file)
     root = Path(asked.out)
@@ -185,6 +191,7 @@ class _FrameIntegrator:
         self._asked, self._camera = asked, camera
         self._signs = np.array(convention.signs, np.float32)
         self._integrator = DepthIntegrator(camera, asked.part(IntegrationOptions))
+        self._prior = _read_prior(asked, camera)
         self._anchor: DepthAnchor | None = None
         # a picture of normals is what three lamps along the axes would make: n = 2 value − 1
         half = 0.5 * np.array(convention.signs)
@@ -194,11 +201,14 @@ class _FrameIntegrator:
     def frame(self, number: int, stored: StoredNormals) -> FrameResult:
         """Return normals, depth, and a mesh if asked for."""
         normal_map = self._normal_map(number, stored)
-        depth_map = self._integrator.integrate(normal_map)
-        self._anchor = self._anchor or DepthAnchor(depth_map)
-        depth_map = self._anchor.align(depth_map, self._integrator.parts)
+        depth_map = self._integrator.integrate(normal_map, prior=self._prior)
+        if self._prior is None:
+            self._anchor = self._anchor or DepthAnchor(depth_map)
+            depth_map = self._anchor.align(depth_map, self._integrator.parts)
         if normal_map.error_deg is not None:
             depth_map = with_expected_depth_error(depth_map, normal_map, self._camera)
+        if self._prior is not None:
+            depth_map = with_prior_error(depth_map, self._prior)
         if depth_map.unit is LengthUnit.FREE and self._asked.distance is not None:
             scaled = depth_map.depth * self._asked.distance
             depth_map = replace(depth_map, depth=scaled, unit=LengthUnit.METRE)
@@ -255,6 +265,53 @@ def settled_convention(
     return convention
 
 
+def _read_prior(asked: IntegrateArguments, camera: Camera) -> DepthPrior | None:
+    """Read depth that is known, in the camera's unit, with its error."""
+    if asked.prior is None:
+        if asked.prior_error is not None:
+            raise BadInput("prior error: give --prior, the depth that it belongs to")
+        return None
+    if asked.distance is not None:
+        raise BadInput("prior: it states the distance; give --prior or --distance, not both")
+    depth = read_depth_map(asked.prior)
+    wanted = (camera.height, camera.width)
+    _require_prior_size(asked.prior, depth.shape, wanted)
+    if depth.unit is LengthUnit.FREE:
+        raise BadInput(f"{asked.prior}: its scale is free; expected depth in metres")
+    unit = "metres" if camera.is_perspective else "pixels"
+    error: FloatArray | float
+    if asked.prior_error is None:
+        if depth.error_percent is None:
+            raise BadInput(f"{asked.prior}: it states no error; give --prior-error, a number or an EXR")
+        error = depth.error_percent * (float(np.ptp(depth.depth[depth.mask])) / 100.0)
+    elif _is_number(asked.prior_error):
+        error = float(asked.prior_error) * (1e-3 if camera.is_perspective else 1.0)
+    else:
+        stated = read_depth_map(asked.prior_error)
+        _require_prior_size(Path(asked.prior_error), stated.shape, wanted)
+        depth, error = replace(depth, mask=depth.mask & stated.mask), stated.depth
+    logger.warning(
+        "%s: depth in %s, median %.4g, %.0f %% of the pixels, error %.3g", asked.prior, unit,
+        np.median(depth.depth[depth.mask]), 100.0 * depth.mask.mean(), np.median(error),
+    )  # fmt: skip
+    return DepthPrior(depth=depth.depth, mask=depth.mask, error=error)
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _require_prior_size(path: Path, shape: tuple[int, int], wanted: tuple[int, int]) -> None:
+    if shape != wanted:
+        raise BadInput(
+            f"{path}: expected {wanted[1]}×{wanted[0]}, the size of the normals, got {shape[1]}×{shape[0]}"
+        )
+
+
 def _camera_of(asked: IntegrateArguments, source: NormalSource, shape: tuple[int, ...]) -> Camera:
     height, width = shape
     if asked.focal_px is not None:
@@ -300,9 +357,13 @@ def _manifest(
             frame_count=source.count,
             frame_rate_hz=source.frame_rate_hz,
         ),
-        extra_files={} if mask_file is None else {"mask": entry_of_files(mask_file, (mask_file,))},
+        extra_files={
+            name: entry_of_files(file, (file,))
+            for name, file in (("mask", mask_file), ("prior", asked.prior))
+            if file is not None
+        },
         rig=entry_from_rig(rig),
-        options=options | {"distance_m": asked.distance},
+        options=options | {"distance_m": asked.distance, "prior_error": asked.prior_error},
         frames=FrameRange.from_text(asked.frames or "::").to_text(),
         outputs=written,
         versions=library_versions(),
