@@ -53,7 +53,7 @@ def mesh_from_depth(
     _require_match(depth_map, camera, rgb, normal_map)
     rows, columns, faces, moves = _grid_of(depth_map, camera, options)
     pixels = rows * camera.width + columns
-    grid = np.stack([columns, rows], axis=-1)
+    grid = np.stack([columns, rows], axis=-1).astype(np.float64)
     depth = _values_at(depth_map.depth, pixels)
     points = camera.unproject(grid, depth)
     normals = _normals_at(normal_map, pixels, points, faces)

@@ -31,7 +31,7 @@ def rgb_from_message(
             )
         return np.ascontiguousarray(image[..., ::-1])
     width, height = int(message.width), int(message.height)
-    require_pixels(width, height, max_megapixels, name, BadCapture)
+    require_pixels(width, height, max_megapixels, name)
     encoding = _ENCODING.fullmatch(message.encoding)
     if encoding is None:
         raise BadCapture(
