@@ -70,7 +70,7 @@ def mesh_from_depth(
     )
 
 
-def _without_folds(grid: IntArray, moves: FloatArray, faces: Faces) -> FloatArray:
+def _without_folds(grid: FloatArray, moves: FloatArray, faces: Faces) -> FloatArray:
     """Return moves (n, 2) in pixels; none of a triangle that would lose most of its area, or turn over."""
     at_rim = faces[(moves[faces] != 0).any(axis=(1, 2))]
     while len(at_rim):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from itertools import repeat
 from typing import TypeVar
 
@@ -41,7 +41,10 @@ def side_by_side(
                 yield at_work.popleft()
         yield from at_work
     finally:
-        pool.shutdown(wait=True, cancel_futures=True)
+        # Waits for what is at work, which may read the footage, but joins no thread: Python may close an
+        # abandoned generator while a thread begins, and joining there never ends.
+        pool.shutdown(wait=False, cancel_futures=True)
+        wait([done for _, done in at_work if not done.cancelled()])
 
 
 def _take_one_core() -> None:
