@@ -9,7 +9,9 @@ from vntoolkit.diagnosis.table import TABLE
 
 
 def test_every_finding_is_given_the_values_that_its_texts_name() -> None:
-    sources = "\n".join(path.read_text("utf-8") for path in Path(diagnosis.__file__).parent.glob("*.py"))
+    package = Path(diagnosis.__file__).parents[1]
+    files = [path for path in package.rglob("*.py") if path.parent.name == "diagnosis" or path.stem == "track"]
+    sources = "\n".join(path.read_text("utf-8") for path in files if path.stem != "table")
     for node in ast.walk(ast.parse(sources.replace("from __future__ import annotations", ""))):
         if isinstance(node, ast.Call) and ast.unparse(node.func) == "Finding.of":
             given = {word.arg for word in node.keywords}
@@ -18,4 +20,4 @@ def test_every_finding_is_given_the_values_that_its_texts_name() -> None:
                     named = {field for text in TABLE[name.value] for _, field, *_ in Formatter().parse(text)}
                     assert named - {None} == given - {"level"}, name.value
     for name in TABLE:
-        assert f'"{name}"' in sources.split("TABLE: dict")[0] + sources.split("CHECK_NAMES = ")[1], name
+        assert f'"{name}"' in sources, name

@@ -62,7 +62,7 @@ def usd_at_rate(path, frame_rate_hz):
         (lambda p: write_normal_map(p / "a.jpg", FLAT), BadInput, r"as \.exr or \.png, not '\.jpg'"),
         (lambda p: write_normal_map(p / "a.png", FLAT, bits=12), BadInput, "8 or 16 bits, not 12"),
         (lambda p: write_depth_map(p / "a.png", LEVEL), BadInput, r"a depth map is written as \.exr"),
-        (lambda p: write_mesh(p / "a.stl", TRIANGLE), CannotWrite, r"as \.ply or \.obj, not '\.stl'"),
+        (lambda p: write_mesh(p / "a.off", TRIANGLE), CannotWrite, r"as \.ply, \.obj or \.stl, not '\.off'"),
         (
             lambda p: write_mesh(p / "a.obj", TRIANGLE, texture=np.zeros((4, 4, 3), np.uint8)),
             BadMesh,

@@ -17,7 +17,7 @@ def test_report_names_its_page(dome_result, tmp_path, capsys):
 
 def test_view_writes_the_page_that_it_is_asked_for(dome_result, tmp_path, capsys):
     page = tmp_path / "scene.html"
-    flags = ["--html", str(page), "--frames", "1:3", "--vertices", "100", "--picture-px", "32"]
+    flags = ["--html", str(page), "--frames", "1:3", "--vertices", "100"]
     assert main(["view", str(dome_result.folder), *flags]) == 0
     told = capsys.readouterr().out
     assert "2 frames" in told
