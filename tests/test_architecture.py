@@ -84,7 +84,7 @@ LINES = {
     "inspection": 250,
     "integration": 2000,
     "io": 8920,
-    "live": 900,
+    "live": 910,
     "materials": 2900,
     "meshing": 380,
     "normals": 1570,

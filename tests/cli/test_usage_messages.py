@@ -69,7 +69,10 @@ def line_of(command, place, capsys, monkeypatch):
         ("board --out b.pdf --columns 11.0", 'expected a whole number, got "11.0"'),
         ("reconstruct frame.png --rig rig.json --out o --distance far", 'expected a number, got "far"'),
         ("calibrate lights text.txt --out r.json --lights 1 2", "--lights: expected 3 values, got 2"),
-        ("export empty", "--to is missing (one of ply, obj, stl, usd, glb, points, npz, diligent, png, heights,"),
+        (
+            "export empty",
+            "--to is missing (one of ply, obj, stl, usd, glb, points, npz, diligent, png, heights,",
+        ),
         ("reconstrct frame.png", 'Did you mean "reconstruct"?'),
         ("calibrate bord frame.png", 'Did you mean "board"?'),
     ],

@@ -10,7 +10,9 @@ from vntoolkit.diagnosis.table import TABLE
 
 def test_every_finding_is_given_the_values_that_its_texts_name() -> None:
     package = Path(diagnosis.__file__).parents[1]
-    files = [path for path in package.rglob("*.py") if path.parent.name == "diagnosis" or path.stem == "track"]
+    files = [
+        path for path in package.rglob("*.py") if path.parent.name == "diagnosis" or path.stem == "track"
+    ]
     sources = "\n".join(path.read_text("utf-8") for path in files if path.stem != "table")
     for node in ast.walk(ast.parse(sources.replace("from __future__ import annotations", ""))):
         if isinstance(node, ast.Call) and ast.unparse(node.func) == "Finding.of":

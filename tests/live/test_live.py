@@ -120,6 +120,7 @@ def test_the_newest_frames_are_worked_on_and_the_others_counted() -> None:
     assert figures.arrived == 10
     assert figures.processed == len(seen)
     assert figures.dropped == 10 - len(seen)
+    assert figures.arrival_hz > figures.rate_hz
     assert f"{figures.dropped} of 10 dropped" in figures.line()
 
 

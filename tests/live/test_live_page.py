@@ -175,10 +175,16 @@ def test_a_slow_browser_draws_less_says_so_and_a_hidden_one_draws_nothing() -> N
 
 def test_the_status_says_it_all() -> None:
     figures = LiveFigures(
-        arrived=1200, processed=1188, dropped=12, failed=3, rate_hz=29.7, latency_s=(0.0123, 0.0456)
+        arrived=1200,
+        processed=1188,
+        dropped=12,
+        failed=3,
+        arrival_hz=30.1,
+        rate_hz=29.7,
+        latency_s=(0.0123, 0.0456),
     )
     assert status_cards(figures, 28.0, 0.02) == (
-        ("29.7", "frames a second", "1,188 so far"),
+        ("29.7", "frames a second", "of 30.1 from the camera"),
         ("12 ms", "latency of a frame", "95 %: 46 ms"),
         ("12", "frames dropped", "of 1,200, 1.0 %, 3 failed"),
         ("28.0", "a second on this page", "20 ms after arrival"),

@@ -30,7 +30,9 @@ from vntoolkit.options.depth import MeshOptions
 from vntoolkit.options.pages import ViewerOptions
 from vntoolkit.report.scene import depth_block, depth_box, normals_block, place_of
 
-FIGURES = LiveFigures(arrived=1, processed=1, dropped=0, failed=0, rate_hz=0.0, latency_s=(0.0, 0.0))
+FIGURES = LiveFigures(
+    arrived=1, processed=1, dropped=0, failed=0, arrival_hz=0.0, rate_hz=0.0, latency_s=(0.0, 0.0)
+)
 
 
 def dome_frame(number: int = 0) -> EncodedFrame:

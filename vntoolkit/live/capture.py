@@ -153,14 +153,16 @@ _RECENT = 60  # frames that the shown rate and latency are taken over
 class LiveFigures:
     """How it goes: frames so far, frames a second and seconds of latency lately.
 
-    arrived, processed, dropped, failed: frames. rate_hz: of frames processed. latency_s: from a frame's
-    arrival to its result, median and 95th percentile.
+    arrived, processed, dropped, failed: frames. arrival_hz: of frames as the camera gives them, which may be
+    fewer than it states. rate_hz: of frames processed. latency_s: from a frame's arrival to its result, median
+    and 95th percentile.
     """
 
     arrived: int
     processed: int
     dropped: int
     failed: int
+    arrival_hz: float
     rate_hz: float
     latency_s: tuple[float, float]
 
@@ -169,7 +171,7 @@ class LiveFigures:
         median, high = (1000 * seconds for seconds in self.latency_s)
         lost = f", {self.failed} failed" if self.failed else ""
         return (
-            f"{self.rate_hz:.1f} frames/s, latency {median:.0f} ms (95 %: {high:.0f} ms), "
+            f"{self.rate_hz:.1f} of {self.arrival_hz:.1f} frames/s, latency {median:.0f} ms (95 %: {high:.0f} ms), "
             f"{self.dropped} of {self.arrived} dropped{lost}"
         )
 
@@ -225,8 +227,8 @@ class LiveRun:
         self._ended = False
         self._stopped = threading.Event()
         self._problem: BaseException | None = None
-        self._meter = LatencyMeter()
-        self._arrived = self._dropped = self._failed = 0
+        self._arrivals, self._meter = LatencyMeter(), LatencyMeter()
+        self._dropped = self._failed = 0
 
     def run(self) -> LiveFigures:
         """Watch until the source ends; raise what it raised, once all that arrived is done.
@@ -253,7 +255,7 @@ class LiveRun:
         finally:
             self.stop()
             taker.join()
-        if isinstance(self._problem, VntError) and self._arrived:
+        if isinstance(self._problem, VntError) and self._arrivals.count:
             return self.figures()  # a camera that was unplugged ends the run like a file that ends
         if self._problem is not None:
             raise self._problem
@@ -271,10 +273,11 @@ class LiveRun:
         """How it goes now."""
         rate, latency = self._meter.figures()
         return LiveFigures(
-            arrived=self._arrived + self._source.skipped,
+            arrived=self._arrivals.count + self._source.skipped,
             processed=self._meter.count,
             dropped=self._dropped + self._source.skipped,
             failed=self._failed,
+            arrival_hz=self._arrivals.figures()[0],
             rate_hz=rate,
             latency_s=latency,
         )
@@ -295,7 +298,7 @@ class LiveRun:
 
     def _put(self, timed: TimedFrame) -> None:
         with self._changed:
-            self._arrived += 1
+            self._arrivals.reached(timed.arrived_s, timed.arrived_s)
             while len(self._waiting) >= _SLOTS and not self._stopped.is_set():
                 if self._wait_for_all:
                     self._changed.wait(0.1)

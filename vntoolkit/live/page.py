@@ -211,7 +211,7 @@ def status_cards(figures: LiveFigures, shown_hz: float, shown_s: float) -> tuple
     lost = f", {figures.failed:,} failed" if figures.failed else ""
     dropped = f"{100 * figures.dropped / max(1, figures.arrived):.1f} %"
     return (
-        (f"{figures.rate_hz:.1f}", "frames a second", f"{figures.processed:,} so far"),
+        (f"{figures.rate_hz:.1f}", "frames a second", f"of {figures.arrival_hz:.1f} from the camera"),
         (f"{median:.0f} ms", "latency of a frame", f"95 %: {high:.0f} ms"),
         (f"{figures.dropped:,}", "frames dropped", f"of {figures.arrived:,}, {dropped}{lost}"),
         (f"{shown_hz:.1f}", "a second on this page", f"{1000 * shown_s:.0f} ms after arrival"),
