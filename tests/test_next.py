@@ -50,7 +50,7 @@ def studio(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_every_printed_next_command_runs(studio: Path) -> None:
     seen: set[tuple[str, str]] = set()
     for first in CHAINS:
-        before, waiting = "", [Step("sh", f"vntoolkit {first}", 0)]
+        before, waiting = first, [Step("sh", f"vntoolkit {first}", 0)]
         while waiting:
             step = waiting.pop()
             words = step.text.split()
