@@ -28,7 +28,7 @@ CHAINS = (
     "evaluate normals scene/truth/normals scene/truth/normals --out errors",
     "export result --to glb",
     "data walk.bvh",
-    "session takes --rig rig.json --out sessions",
+    "session takes/first.mkv --rig rig.json --out sessions",
     "recipe list",
 )
 
