@@ -154,8 +154,8 @@ class LiveFigures:
     """How it goes: frames so far, frames a second and seconds of latency lately.
 
     arrived, processed, dropped, failed: frames. arrival_hz: of frames as the camera gives them, which may be
-    fewer than it states. rate_hz: of frames processed. latency_s: from a frame's arrival to its result, median
-    and 95th percentile.
+    fewer than it states. rate_hz: of frames processed. latency_s: from a frame's arrival to its result,
+    median and 95th percentile.
     """
 
     arrived: int
@@ -171,7 +171,8 @@ class LiveFigures:
         median, high = (1000 * seconds for seconds in self.latency_s)
         lost = f", {self.failed} failed" if self.failed else ""
         return (
-            f"{self.rate_hz:.1f} of {self.arrival_hz:.1f} frames/s, latency {median:.0f} ms (95 %: {high:.0f} ms), "
+            f"{self.rate_hz:.1f} of {self.arrival_hz:.1f} frames/s, "
+            f"latency {median:.0f} ms (95 %: {high:.0f} ms), "
             f"{self.dropped} of {self.arrived} dropped{lost}"
         )
 
