@@ -28,8 +28,6 @@ CHAINS = (
     "evaluate normals scene/truth/normals scene/truth/normals --out errors",
     "export result --to glb",
     "data walk.bvh",
-    "session takes/first.mkv --rig rig.json --out sessions",
-    "recipe list",
 )
 
 
@@ -40,8 +38,6 @@ def studio(tmp_path_factory: pytest.TempPathFactory) -> Path:
         film(folder, name, scene, frames)
     run_step(Step("sh", f"{GEL} --out .gel --frames 37:39", 0), folder)
     (folder / ".gel" / "capture.mkv").rename(folder / "touch.mkv")
-    (folder / "takes").mkdir()
-    (folder / "takes" / "first.mkv").symlink_to(folder / "capture.mkv")
     photographs(folder / "stills", np.random.default_rng(7))
     return folder
 
@@ -60,4 +56,4 @@ def test_every_printed_next_command_runs(studio: Path) -> None:
             seen.add((before, verb))
             before, waiting = verb, next_of(run_step(step, studio))
     verbs = {verb.split()[0] for _, verb in seen}
-    assert {"calibrate", "reconstruct", "view", "report", "track", "dress", "integrate", "recipe"} <= verbs
+    assert {"calibrate", "reconstruct", "view", "report", "track", "dress", "integrate"} <= verbs
