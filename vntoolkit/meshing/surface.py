@@ -57,8 +57,8 @@ def mesh_from_depth(
     depth = _values_at(depth_map.depth, pixels)
     points = camera.unproject(grid, depth)
     normals = _normals_at(normal_map, pixels, points, faces)
-    places = grid + _without_folds(grid, moves, faces)
-    moved = np.flatnonzero((places != grid).any(axis=1))
+    moves = _without_folds(grid, moves, faces)
+    places, moved = grid + moves, np.flatnonzero((moves[:, 0] != 0) | (moves[:, 1] != 0))
     points[moved] = _on_planes(points[moved], normals[moved], places[moved], depth[moved], camera)
     return Mesh(
         vertices=points,
@@ -72,7 +72,8 @@ def mesh_from_depth(
 
 def _without_folds(grid: FloatArray, moves: FloatArray, faces: Faces) -> FloatArray:
     """Return moves (n, 2) in pixels; none of a triangle that would lose most of its area, or turn over."""
-    at_rim = faces[(moves[faces] != 0).any(axis=(1, 2))]
+    moved = (moves[:, 0] != 0) | (moves[:, 1] != 0)
+    at_rim = faces[moved[faces[:, 0]] | moved[faces[:, 1]] | moved[faces[:, 2]]]
     while len(at_rim):
         a, b, c = ((grid + moves)[at_rim[:, i]] for i in range(3))
         first, second = b - a, c - a
@@ -295,6 +296,32 @@ def _faces_kernel(kept: Mask, first: IntArray, index: IntArray, faces: Faces) ->
                     number += 1
 
 
+@njit(cache=True, inline="always")
+def _is_of_surface(
+    mask: Mask,
+    depth: Depth,
+    v: int,
+    u: int,
+    j: int,
+    i: int,
+    step: float,
+    frame: tuple[bool, bool, bool, bool],
+) -> bool:
+    """True where the pixel j rows and i columns on lies on the surface of pixel (v, u).
+
+    step: the largest of depth from pixel to pixel. Beyond a side of the picture the surface goes on.
+    """
+    h, w = mask.shape
+    y, x = v + j, u + i
+    if (y < 0 and frame[0]) or (y >= h and frame[2]):
+        y = v
+    if (x < 0 and frame[1]) or (x >= w and frame[3]):
+        x = u
+    if y < 0 or y >= h or x < 0 or x >= w or not mask[y, x]:
+        return False
+    return abs(depth[y, x] - depth[v, u]) <= step * max(abs(i), abs(j), 1)
+
+
 @njit(cache=True, parallel=True)
 def _moves_kernel(
     mask: Mask,
@@ -313,26 +340,24 @@ def _moves_kernel(
         for u in range(w):
             if not _is_used(kept, v, u):
                 continue
-            total, share, fall_u, fall_v, at_rim = 0.0, 0.0, 0.0, 0.0, False
             step = largest * (abs(depth[v, u]) if times_depth else 1.0)
+            inside = _is_of_surface(mask, depth, v, u, 0, -1, step, frame)
+            inside &= _is_of_surface(mask, depth, v, u, 0, 1, step, frame)
+            inside &= _is_of_surface(mask, depth, v, u, -1, 0, step, frame)
+            inside &= _is_of_surface(mask, depth, v, u, 1, 0, step, frame)
+            if inside:
+                continue
+            total, share, fall_u, fall_v = 0.0, 0.0, 0.0, 0.0
             for j in range(-_WINDOW, _WINDOW + 1):
                 for i in range(-_WINDOW, _WINDOW + 1):
-                    y, x = v + j, u + i
-                    if (y < 0 and frame[0]) or (y >= h and frame[2]):
-                        y = v
-                    if (x < 0 and frame[1]) or (x >= w and frame[3]):
-                        x = u
                     weight = np.exp(-0.5 * (i * i + j * j) / _SMOOTHED_PX**2)
                     total += weight
-                    here = 0 <= y < h and 0 <= x < w and mask[y, x]
-                    if here and abs(depth[y, x] - depth[v, u]) <= step * max(abs(i), abs(j), 1):
+                    if _is_of_surface(mask, depth, v, u, j, i, step, frame):
                         share += weight
                         fall_u += weight * i
                         fall_v += weight * j
-                    elif abs(i) + abs(j) == 1:
-                        at_rim = True
             length = np.hypot(fall_u, fall_v)
-            if not at_rim or length == 0.0:
+            if length == 0.0:
                 continue
             way = _SMOOTHED_PX**2 * (share - 0.5 * total) / length
             way = max(min(way, _FARTHEST_MOVE), -_FARTHEST_MOVE)
