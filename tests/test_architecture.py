@@ -106,7 +106,7 @@ CLOSURES = {
     "export": (50, 6_860),
     "view": (55, 7_460),
     "report": (50, 6_710),
-    "integrate": (78, 12_170),
+    "integrate": (78, 12_190),
     "dress": (91, 14_670),
     "simulate": (77, 11_430),
     "doctor": (29, 3_700),

@@ -102,12 +102,11 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     code is kept in a private temporary folder. A cache that is full or damaged is passed over, and repaired
     where it can be.
 
-    fastmath: what it allows beside `_EXACT` is not done.
+    fastmath: True for the flags that change no digit.
     """
     numba = _numba()
     is_kept = options.pop("cache", False)
-    fast = options.get("fastmath", False)
-    options["fastmath"] = _EXACT & fast if isinstance(fast, set) else _EXACT if fast else False
+    options["fastmath"] = _EXACT if options.get("fastmath") else False
 
     def compiled(function: Callable[..., Any]) -> Any:
         kernel = numba.njit(nogil=True, **options)(function)

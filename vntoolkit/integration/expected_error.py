@@ -254,7 +254,7 @@ def _sum_blocks(
                     to[6] += weight[v, u]
 
 
-@njit(cache=True, parallel=True, fastmath={"contract", "arcp", "nsz"}, error_model="numpy")
+@njit(cache=True, parallel=True, error_model="numpy")
 def _enlarge(coarse: Any, block: int, mask: Mask, scale: Any, out: Any) -> None:
     """Fill (h, w) between centres of blocks linearly; 0 outside the mask. scale: (h, w) factors, or None."""
     height, width = mask.shape

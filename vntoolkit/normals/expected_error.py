@@ -52,7 +52,7 @@ from vntoolkit.normals.inversion import (
 )
 from vntoolkit.options.normals import InversionOptions
 from vntoolkit.photometry.frame import ALL_LIT, LinearFrame
-from vntoolkit.photometry.levelling import FLAGS, leveller_of, map_row, span_of
+from vntoolkit.photometry.levelling import leveller_of, map_row, span_of
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.transfer import Transfer
 
@@ -245,7 +245,7 @@ def _judged(
 # flat slices, whose loops begin at 0: only such loops are done eight pixels at a time.
 
 
-@njit(cache=True, fastmath=FLAGS, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _bound_row(
     r: Any, g: Any, b: Any, found: Any, unlit: Any, rows: Any, inside: Any, k: Any, m: Any, length: Any,
     bound: Any, weight: Any,
@@ -312,7 +312,7 @@ def _bound_row(
         weight[u] = one / (one + share * share) if inside[u] else zero
 
 
-@njit(cache=True, fastmath=FLAGS, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _leave_out(
     r: Any, g: Any, b: Any, found: Any, unlit: Any, noise: Any, inside: Any, rest: Any
 ) -> None:  # fmt: skip
@@ -340,7 +340,7 @@ def _leave_out(
         rest[u] -= _PER_NOISE * left_out if unlit[u] == zero else zero
 
 
-@njit(cache=True, parallel=True, fastmath=FLAGS, error_model="numpy")
+@njit(cache=True, parallel=True, error_model="numpy")
 def _error_kernel(
     rgb: Any, normals: Any, mask: Mask, labels: Any, pairs: Any, noise: Any, constants: Any, error: Any,
     weight: Any,
@@ -371,7 +371,7 @@ def _error_kernel(
         )  # fmt: skip
 
 
-@njit(cache=True, fastmath=FLAGS, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _unlit_row(
     r: Any, g: Any, b: Any, normals: Any, label: Any, pairs: Any, k: Any, unlit: Any
 ) -> None:  # fmt: skip
@@ -413,7 +413,7 @@ def _unlit_row(
         unlit[u] = min(max(bound, SHORTEST), _LARGEST_DEG * _LARGEST_DEG) if known else unknown
 
 
-@njit(cache=True, parallel=True, fastmath=FLAGS, error_model="numpy")
+@njit(cache=True, parallel=True, error_model="numpy")
 def _normals_and_errors_kernel(
     encoded: Any, table: Any, maps: Any, mask: Mask, noise: Any, constants: Any, limits: Any, out: Any
 ) -> None:

@@ -31,7 +31,7 @@ from vntoolkit.native import njit
 from vntoolkit.normals.inversion import read_row, rows_of
 from vntoolkit.normals.lost_detail import LEAST_BLUR_PX, detail_kernel, lost_over_left, side_of_squares
 from vntoolkit.photometry.frame import ALL_LIT
-from vntoolkit.photometry.levelling import FLAGS, map_row, span_of
+from vntoolkit.photometry.levelling import map_row, span_of
 from vntoolkit.photometry.response import LightResponse, changes_of_near_lamps
 from vntoolkit.threads import one_blas_thread
 
@@ -229,7 +229,7 @@ def _rounded(values: Any) -> Any:
 # flat slices, whose loops begin at 0: only such loops are done eight pixels at a time.
 
 
-@njit(cache=True, fastmath=FLAGS, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _least_length(image: Any, table: Any, mask: Mask, c: Coefficients) -> np.float32:
     """Return the length of M⁻¹(r − a) below which a pixel is backdrop, hair, or another paint."""
     step = max(1, int(math.sqrt(mask.size // _GRID_PIXELS)))
@@ -247,7 +247,7 @@ def _least_length(image: Any, table: Any, mask: Mask, c: Coefficients) -> np.flo
     return max(c.darkest, np.float32(_LEAST_LIGHT) * brightest)
 
 
-@njit(cache=True, fastmath=FLAGS, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _light_at(image: Any, table: Any, c: Coefficients, v: int, u: int) -> tuple[Any, Any, Any, Any]:
     """Return r − a of a pixel, and the squared length of M⁻¹(r − a), 0 where it faces away."""
     pixel, inverse, ambient = image[v, u], c.inverse, c.ambient
@@ -262,7 +262,7 @@ def _light_at(image: Any, table: Any, c: Coefficients, v: int, u: int) -> tuple[
     return r, g, b, x * x + y * y + z * z if z < 0 else np.float32(0.0)
 
 
-@njit(cache=True, fastmath=FLAGS, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _samples_kernel(
     image: Any, table: Any, clipped: Any, white: Any, maps: Any, mask: Mask, labels: Any, c: Coefficients,
     step: int, samples: Any,
@@ -308,7 +308,7 @@ def _samples_kernel(
     return count
 
 
-@njit(cache=True, fastmath=FLAGS, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _slopes_row(
     line: Any, table: Any, maps: Any, inside: Any, c: Coefficients, v: int, first: int, p: Any, q: Any,
     known: Any,
@@ -343,7 +343,7 @@ def _slopes_row(
         known[u] = facing * np.sqrt(facing) if good else np.float32(0.0)
 
 
-@njit(cache=True, parallel=True, fastmath=FLAGS, error_model="numpy")
+@njit(cache=True, parallel=True, error_model="numpy")
 def _curl_kernel(image: Any, table: Any, maps: Any, mask: Mask, c: Coefficients, found: Any) -> None:
     """Sum up the squared circulation, as an angle in radians, and its places, along the middle of cells."""
     width = mask.shape[1]
@@ -355,7 +355,7 @@ def _curl_kernel(image: Any, table: Any, maps: Any, mask: Mask, c: Coefficients,
             _squares_of_cells(sizes, places, found[0, cell], found[1, cell])
 
 
-@njit(cache=True, fastmath=FLAGS, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _curl_row(
     image: Any, table: Any, maps: Any, mask: Mask, c: Coefficients, v: int, found: Any, places: Any
 ) -> None:
@@ -426,7 +426,7 @@ def _squares_of_cells(sizes: Any, places: Any, sums: Any, counts: Any) -> None:
             sums[cell] = counts[cell] * min(deviation * deviation, np.float32(1.0))
 
 
-@njit(cache=True, fastmath=FLAGS, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def evidence_row(noise: Any, v: int, first: int, row: Any) -> None:
     """Fill (3, n) from pixel `first` on, between the rows of cells; linear too."""
     y = max((np.float32(v) + np.float32(0.5)) / np.float32(_CELL) - np.float32(0.5), np.float32(0.0))
@@ -439,7 +439,7 @@ def evidence_row(noise: Any, v: int, first: int, row: Any) -> None:
             to[u] = (one - t) * above[u] + t * below[u]
 
 
-@njit(cache=True, fastmath=FLAGS, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def slow_changes_at(shape: Any, k: Any, u: int, v: int) -> Any:
     """Return M⁻¹ΔM of near lamps at a pixel, (9,), then f of `fit_ellipsoid` there and its slope along u."""
     half, two = np.float32(0.5), np.float32(2.0)

@@ -18,7 +18,7 @@ from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.native import njit
 from vntoolkit.options.normals import InversionOptions
 from vntoolkit.photometry.frame import LinearFrame
-from vntoolkit.photometry.levelling import FLAGS, leveller_of, map_row, span_of
+from vntoolkit.photometry.levelling import leveller_of, map_row, span_of
 from vntoolkit.photometry.response import LightResponse, scaled_normals_from_rgb
 from vntoolkit.photometry.transfer import Transfer, decoding_table
 
@@ -225,7 +225,7 @@ class Outputs(NamedTuple):
 # every pixel shares is read before a loop: only such loops are done many pixels at a time.
 
 
-@njit(cache=True, parallel=True, fastmath=FLAGS, error_model="numpy")
+@njit(cache=True, parallel=True, error_model="numpy")
 def _normals_kernel(
     image: Array, table: Any, white: Any, clipped: Any, inside: Array, maps: Any, c: Coefficients,
     out: Outputs,
@@ -254,7 +254,7 @@ def _normals_kernel(
             to[3 * u + 2] = z[u]
 
 
-@njit(cache=True, fastmath=FLAGS, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def read_row(line: Any, table: Any, r: Any, g: Any, b: Any) -> None:
     """Fill three rows from one of colours, (3 w,): linear, or stored integers through a decoding table."""
     for u in range(len(r)):
@@ -264,7 +264,7 @@ def read_row(line: Any, table: Any, r: Any, g: Any, b: Any) -> None:
             r[u], g[u], b[u] = table[line[3 * u]], table[line[3 * u + 1]], table[line[3 * u + 2]]
 
 
-@njit(cache=True, fastmath=FLAGS, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _clipped_row(
     clipped: Any, v: int, first: int, white: Any, r: Array, g: Array, b: Array, top: Array
 ) -> None:
@@ -279,7 +279,7 @@ def _clipped_row(
             top[u] = clipped[v, first + u]
 
 
-@njit(cache=True, fastmath=FLAGS, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _mix_row(c: Coefficients, x: Array, y: Array, z: Array) -> None:
     """Replace the colours in x, y, z by M⁻¹(r − a)."""
     i00, i01, i02 = c.inverse[0, 0], c.inverse[0, 1], c.inverse[0, 2]
@@ -293,7 +293,7 @@ def _mix_row(c: Coefficients, x: Array, y: Array, z: Array) -> None:
         z[u] = i20 * red + i21 * green + i22 * blue - d
 
 
-@njit(cache=True, fastmath=FLAGS, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _normalise_row(
     x: Array, y: Array, z: Array, clipped: Array, inside: Array, c: Coefficients, weight: Array, valid: Array
 ) -> None:

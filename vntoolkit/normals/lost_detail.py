@@ -24,7 +24,7 @@ from vntoolkit.geometry.maps import NOISE_CELL_PX
 from vntoolkit.native import njit
 from vntoolkit.normals.inversion import read_row
 from vntoolkit.photometry.frame import ALL_LIT
-from vntoolkit.photometry.levelling import FLAGS, map_row
+from vntoolkit.photometry.levelling import map_row
 
 LEAST_BLUR_PX = 0.3  # what a sharper picture loses is less than its other errors
 _CELL = NOISE_CELL_PX
@@ -57,7 +57,7 @@ def lost_over_left(found: Any, blur_px: float, side: int) -> float:
     return _OF_MANY_WAVES * 0.5 * taken**2  # of one of two directions
 
 
-@njit(cache=True, parallel=True, fastmath=FLAGS, error_model="numpy")
+@njit(cache=True, parallel=True, error_model="numpy")
 def detail_kernel(
     image: Any, table: Any, clipped: Any, white: Any, maps: Any, mask: Any, labels: Any, inverse: Any,
     ambient: Any, inverse_albedo: Any, side: int, found: Any,
@@ -77,7 +77,7 @@ def detail_kernel(
             )  # fmt: skip
 
 
-@njit(cache=True, fastmath=FLAGS, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _detail_row(
     image: Any, table: Any, clipped: Any, white: Any, maps: Any, mask: Any, labels: Any, inverse: Any,
     ambient: Any, inverse_albedo: Any, side: int, top: int, found: Any,
@@ -140,7 +140,7 @@ def _detail_row(
         found[2, into] += near[i] * taken[1, i]
 
 
-@njit(cache=True, fastmath=FLAGS, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _taken(before: Any, after: Any, p: Any, q: Any, square: Any) -> None:
     """Fill what a blur takes from normals (3, n), across them: along u, along v, and all of it squared."""
     x, y, z = before[0], before[1], before[2]
@@ -153,7 +153,7 @@ def _taken(before: Any, after: Any, p: Any, q: Any, square: Any) -> None:
         p[i], q[i], square[i] = a, b, a * a + b * b + c * c
 
 
-@njit(cache=True, fastmath=FLAGS, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _smooth(above: Any, here: Any, below: Any, count: int) -> None:
     """Put ¼, ½, ¼ of three rows into the first."""
     quarter, half = np.float32(0.25), np.float32(0.5)
@@ -161,7 +161,7 @@ def _smooth(above: Any, here: Any, below: Any, count: int) -> None:
         above[i] = quarter * (above[i] + below[i]) + half * here[i]
 
 
-@njit(cache=True, fastmath=FLAGS, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _smooth_along(row: Any) -> None:
     """Put ¼, ½, ¼ of three neighbours into the one in the middle; the ends stay."""
     quarter, half = np.float32(0.25), np.float32(0.5)
@@ -172,7 +172,7 @@ def _smooth_along(row: Any) -> None:
         to[i] = quarter * (before[i] + after[i]) + half * middle[i]
 
 
-@njit(cache=True, fastmath=FLAGS, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _squares_row(
     image: Any, table: Any, clipped: Any, white: Any, maps: Any, mask: Any, labels: Any, inverse: Any,
     ambient: Any, inverse_albedo: Any, side: int, top: int, normals: Any, sound: Any,

@@ -16,7 +16,6 @@ from vntoolkit.native import njit
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
 
-FLAGS = {"contract", "arcp", "nsz"}  # of compiled loops: reordering that keeps NaN and infinity meaningful
 _ERROR = 1e-5  # of a map's numbers: what parabolas may be off by, as float32 colours are after M⁻¹
 _WIDEST = 64  # steps of the grid in pixels: the widest of these powers of two is taken that keeps to it
 
@@ -128,7 +127,7 @@ def _mapped(
     return LinearFrame(rgb=out, clipped=frame.clipped, number=frame.number)
 
 
-@njit(cache=True, parallel=True, fastmath=FLAGS, error_model="numpy")
+@njit(cache=True, parallel=True, error_model="numpy")
 def _map_kernel(rgb: Any, maps: ColourMaps, corner: Any, inside: Any, out: Any) -> None:
     top, bottom, left, right = inside
     width = right - left
@@ -159,7 +158,7 @@ def span_of(inside: Any) -> tuple[int, int]:
     return (first, last) if first < last else (0, 0)
 
 
-@njit(cache=True, fastmath=FLAGS, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def map_row(maps: ColourMaps, v: int, first: int, r: Any, g: Any, b: Any) -> None:
     """Map the colours of a row from pixel `first` on, in place."""
     grid, step, ramp = maps.grid, maps.step, maps.ramp

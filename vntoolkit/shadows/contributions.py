@@ -11,7 +11,6 @@ from vntoolkit.arrays import Array, ArrayLike, BoolArray, FloatArray, Mask, Matr
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.native import njit
 from vntoolkit.photometry.frame import LinearFrame
-from vntoolkit.photometry.levelling import FLAGS
 from vntoolkit.photometry.response import LightResponse
 
 _WORKING_PIXELS = 100_000  # surfaces are solved on images of about this size: more show no other shadows
@@ -163,7 +162,7 @@ def brighter_than(frame: LinearFrame, response: LightResponse, darkest: float, m
     return mask & (np.einsum("vuc,vuc->vu", scaled, scaled) > darkest**2)
 
 
-@njit(cache=True, fastmath=FLAGS, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _split_kernel(
     rgb: FloatArray, split: Numbers, inverse: Numbers, haze: Numbers, rest: np.float32,
     contributions: FloatArray, length: FloatArray, normals: FloatArray,

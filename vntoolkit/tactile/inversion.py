@@ -16,7 +16,6 @@ from vntoolkit.checks import require_mask, require_shape
 from vntoolkit.geometry.maps import NOISE_CELL_PX, NormalMap
 from vntoolkit.native import njit
 from vntoolkit.photometry.gel import GelResponse
-from vntoolkit.photometry.levelling import FLAGS
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.tactile.response import STEEPEST
 
@@ -117,7 +116,7 @@ class _Model(NamedTuple):
     reach: np.float32
 
 
-@njit(cache=True, parallel=True, fastmath=FLAGS, error_model="numpy")
+@njit(cache=True, parallel=True, error_model="numpy")
 def _invert(change: Array, drift: Array, model: _Model, normals: Array) -> None:
     height, width = change.shape[:2]
     filmed, found = change.reshape(height, -1), normals.reshape(height, -1)
@@ -143,7 +142,7 @@ def _invert(change: Array, drift: Array, model: _Model, normals: Array) -> None:
             line[3 * u], line[3 * u + 1], line[3 * u + 2] = nx[u], ny[u], nz[u]
 
 
-@njit(cache=True, fastmath=FLAGS, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _take_drift(change: Array, drift: Array, v: int, height: int, rows: Array) -> None:
     """Put a row's colours, r g b r g b …, less the drift, into rows 0 to 2."""
     r, g, b = rows[0], rows[1], rows[2]
@@ -161,7 +160,7 @@ def _take_drift(change: Array, drift: Array, v: int, height: int, rows: Array) -
         b[u] = change[3 * u + 2] - (b0 + x * (b1 + x * b2))
 
 
-@njit(cache=True, fastmath=FLAGS, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _estimate_row(r: Array, g: Array, b: Array, s: Array, t: Array, inverse: Array, reach: Any) -> None:
     """Replace colours by m, shortened to `reach`, and put s of M alone into s and t."""
     one, tiny = np.float32(1), np.float32(1e-9)
@@ -176,7 +175,7 @@ def _estimate_row(r: Array, g: Array, b: Array, s: Array, t: Array, inverse: Arr
         r[u], g[u], b[u] = x * within, y * within, z * within
 
 
-@njit(cache=True, fastmath=FLAGS, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _bend_row(r: Array, g: Array, b: Array, place: Array, c: Array, s: Array) -> None:
     """Add the correction to one coordinate s of a row, by Horner's rule in m = (i, j, k) and the place x.
 
@@ -217,7 +216,7 @@ def _bend_row(r: Array, g: Array, b: Array, place: Array, c: Array, s: Array) ->
         s[u] += i * by_i + j * by_j + k * by_k
 
 
-@njit(cache=True, fastmath=FLAGS, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _normals_row(s: Array, t: Array, x: Array, y: Array, z: Array) -> None:
     one, two = np.float32(1), np.float32(2)
     steepest, tiny = np.float32(STEEPEST), np.float32(1e-12)
@@ -251,7 +250,7 @@ def _votes(change: Array, usable: Array, step: int) -> tuple[Array, Array]:
     return values[:, :count].copy(), positions[:, :count].copy()
 
 
-@njit(cache=True, fastmath=FLAGS | {"reassoc"}, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _fit_drift(values: Array, positions: Array, least_noise: float) -> Array:
     """Iteratively reweighted least squares with Geman and McClure's weights."""
     count = values.shape[1]
@@ -273,7 +272,7 @@ def _fit_drift(values: Array, positions: Array, least_noise: float) -> Array:
     return drift
 
 
-@njit(cache=True, fastmath=FLAGS, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _measure(values: Array, positions: Array, drift: Array, residual: Array) -> None:
     """Lengths (n,) of what the drift leaves of the colours."""
     x, y, xx, xy, yy = positions[1], positions[2], positions[3], positions[4], positions[5]
@@ -288,13 +287,13 @@ def _measure(values: Array, positions: Array, drift: Array, residual: Array) -> 
         residual[n] = np.sqrt(residual[n])
 
 
-@njit(cache=True, fastmath=FLAGS | {"reassoc"}, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _multiply(first: Array, second: Array, out: Array) -> None:
     for n in range(len(first)):
         out[n] = first[n] * second[n]
 
 
-@njit(cache=True, fastmath=FLAGS | {"reassoc"}, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _dot(first: Array, second: Array) -> float:
     total = 0.0
     for n in range(len(first)):
