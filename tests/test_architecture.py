@@ -1,4 +1,4 @@
-"""Imports go strictly down the floors that the README shows, and no stage imports another stage.
+"""Imports go strictly down the floors that CONTRIBUTING.md shows, and no stage imports another stage.
 
 Floors, from the ground: 0 foundations; 1 the objects that flow; 1.8 options; 2 the stages; 2.5 diagnosis; 3
 pipeline; 3.5 report; 3.7 live; 4 the command line. A file may import from lower floors and from its own room
