@@ -2,11 +2,10 @@
 
 import shlex
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from typing import ClassVar
 
-from vntoolkit.cli.output import ProgressBars, print_next, print_next_program, say
+from vntoolkit.cli.output import print_next, print_next_program, say
 from vntoolkit.cli.verb import verb
 from vntoolkit.options.base import File, OptionalFile, named
 from vntoolkit.options.export import CleanOptions, ExportFormat, ExportFormatName, ExportOptions
@@ -61,9 +60,7 @@ def export(asked: ExportArguments) -> Path:
         footage=asked.footage,
         background=asked.background,
     )
-    with ProgressBars() as bars:
-        begin = partial(bars.begin, "export")
-        summary = run(job, overwrite=asked.overwrite, on_start=begin, on_frame=bars.step)
+    summary = run(job, overwrite=asked.overwrite)
     kept = f", {summary.kept} of them from before" if summary.kept else ""
     which = {True: " of the tracked mesh", False: " of each frame's own mesh", None: ""}[summary.is_tracked]
     say(f"{summary.out}: {summary.frames} frames{which}{kept}")
