@@ -1,4 +1,4 @@
-"""Imports go strictly down the floors that the README shows, and no stage imports another stage.
+"""Imports go strictly down the floors that CONTRIBUTING.md shows, and no stage imports another stage.
 
 Floors, from the ground: 0 foundations; 1 the objects that flow; 1.8 options; 2 the stages; 2.5 diagnosis; 3
 pipeline; 3.5 report; 3.7 live; 4 the command line. A file may import from lower floors and from its own room
@@ -76,9 +76,9 @@ DOORS = {
 # Room -> most lines of all its files; "(root)" holds the files beside the rooms.
 LINES = {
     "(root)": 1880,
-    "calibration": 4720,
+    "calibration": 4740,
     "cli": 3250,
-    "diagnosis": 4100,
+    "diagnosis": 4110,
     "evaluation": 1100,
     "geometry": 1810,
     "inspection": 250,
@@ -92,7 +92,7 @@ LINES = {
     "photometry": 1060,
     "pipeline": 7970,
     "report": 3120,
-    "shadows": 2330,
+    "shadows": 2340,
     "simulation": 3540,
     "skinning": 2050,
     "tactile": 2110,
@@ -101,21 +101,21 @@ LINES = {
 
 # Verb -> most modules of the package, and most lines of them, that are loaded before its function runs.
 CLOSURES = {
-    "reconstruct": (61, 8_210),
-    "track": (89, 12_500),
+    "reconstruct": (61, 8_220),
+    "track": (89, 12_520),
     "export": (51, 6_870),
     "view": (56, 7_500),
     "report": (51, 6_760),
-    "integrate": (79, 12_230),
+    "integrate": (79, 12_250),
     "dress": (92, 14_690),
-    "simulate": (78, 11_460),
+    "simulate": (78, 11_470),
     "doctor": (30, 3_750),
     "board": (29, 3_480),
     "schema": (24, 2_830),
 }
 
 # The same of `reconstruct --shadows none --materials calibrated` when it has run.
-PLAIN_RUN = (116, 20_240)
+PLAIN_RUN = (116, 20_270)
 
 FILES = sorted(PACKAGE.rglob("*.py"))
 
