@@ -77,7 +77,7 @@ DOORS = {
 LINES = {
     "(root)": 1880,
     "calibration": 4740,
-    "cli": 3250,
+    "cli": 3240,
     "diagnosis": 4110,
     "evaluation": 1100,
     "geometry": 1810,
@@ -90,7 +90,7 @@ LINES = {
     "normals": 1340,
     "options": 1710,
     "photometry": 1060,
-    "pipeline": 7970,
+    "pipeline": 7960,
     "report": 3120,
     "shadows": 2340,
     "simulation": 3540,

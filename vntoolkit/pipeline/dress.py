@@ -145,10 +145,9 @@ class DressedFigure:
             turn = Rotation.from_rotvec([0.0, np.arctan2(ahead[0], ahead[2]), 0.0]).as_matrix()
         placed = self.rest_from_cloth.rigid
         return ViewedFrom(
+            camera=camera,
             position=turn @ (placed.translation - attached[:3, 3]) + first[:3, 3] + self.offset,
             rotation=turn @ placed.rotation,
-            focal_px=(float(camera.matrix[0, 0]), float(camera.matrix[1, 1])),
-            size_px=(camera.width, camera.height),
             offset=self.offset,
         )
 

@@ -148,14 +148,8 @@ def viewed_from(camera: Camera, offset: Vector3) -> ViewedFrom | None:
     """Return the camera of the capture in a scene that was moved by the offset; None without perspective."""
     if not camera.is_perspective:
         return None
-    focal = (float(camera.matrix[0, 0]), float(camera.matrix[1, 1]))
-    return ViewedFrom(
-        position=np.asarray(offset, dtype=np.float64),
-        rotation=np.eye(3),
-        focal_px=focal,
-        size_px=(camera.width, camera.height),
-        offset=np.asarray(offset, dtype=np.float64),
-    )
+    offset = np.asarray(offset, dtype=np.float64)
+    return ViewedFrom(camera=camera, position=offset, rotation=np.eye(3), offset=offset)
 
 
 def _export_folder(
