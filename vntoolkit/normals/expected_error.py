@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 from numba import prange
 
-from vntoolkit.arrays import ByteArray, Float32Array, Mask, VisibilityLabels
+from vntoolkit.arrays import Array, ByteArray, Float32Array, Mask, VisibilityLabels
 from vntoolkit.checks import require_shape
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import HALF_WEIGHT_DEG, NormalMap
@@ -35,15 +35,26 @@ from vntoolkit.normals.frame_evidence import (
     LEAST_FACING,
     LONGEST,
     SHORTEST,
+    Coefficients,
+    FrameLight,
     coefficients_from_rig,
     evidence_of_frame,
     evidence_row,
     slow_changes_at,
 )
-from vntoolkit.normals.inversion import read_row, rows_of
+from vntoolkit.normals.inversion import (
+    coefficients_from_response,
+    decoding_of,
+    read_row,
+    require_encoded,
+    require_mask_or_all,
+    rows_of,
+)
+from vntoolkit.options.normals import InversionOptions
 from vntoolkit.photometry.frame import ALL_LIT, LinearFrame
-from vntoolkit.photometry.levelling import span_of
+from vntoolkit.photometry.levelling import leveller_of, map_row, span_of
 from vntoolkit.photometry.response import LightResponse
+from vntoolkit.photometry.transfer import Transfer
 
 # Nine of ten angles of a two-dimensional normal distribution lie within √(2 ln 10) standard deviations.
 NINE_OF_TEN = 2.146
@@ -100,22 +111,17 @@ def with_expected_error(
     if labels is not None:
         require_shape(labels, shape, "visibility labels")
         labels = np.ascontiguousarray(labels)
+    clipped = np.ascontiguousarray(frame.clipped)
+    light = FrameLight(np.ascontiguousarray(frame.rgb), None, clipped, np.float32(0), None)
     mask = np.ascontiguousarray(normal_map.mask)
     c = coefficients_from_rig(response, camera)
-    noise, seen, rows, ellipsoid = evidence_of_frame(frame, mask, labels, c, blur_px)
-    residual = (_OF_RESIDUAL * max(residual_deg, 0.0)) ** 2
-    if residual_of_pixels and seen.any():
-        residual = max(residual - float(_PER_NOISE * np.median(noise[seen > 0])), 0.0)
-    fixed = residual + (np.degrees(_OF_ROTATION) * ellipsoid[32]) ** 2
-    # fixed: the squared bound that all pixels share; c.along: noise along a normal over that across it
-    constants = np.concatenate([c.inverse.ravel(), c.ambient, (fixed, c.along), ellipsoid]).astype(np.float32)
+    noise_deg, noise, constants = _judged(light, mask, labels, c, residual_deg, blur_px, residual_of_pixels)
     error, weight = np.empty(shape, np.float32), np.empty(shape, np.float32)
+    found = rows_of(np.ascontiguousarray(normal_map.normals_in_camera, np.float32))
     _error_kernel(
-        rows_of(np.ascontiguousarray(frame.rgb)),
-        rows_of(np.ascontiguousarray(normal_map.normals_in_camera, np.float32)),
-        mask, labels, _pairs_of_lights(response), rows, constants, error, weight,
-    )  # fmt: skip
-    return replace(normal_map, error_deg=error, noise_deg=np.sqrt(_PER_NOISE * noise), weight=weight)
+        rows_of(light.image), found, mask, labels, _pairs_of_lights(response), noise, constants, error, weight
+    )
+    return replace(normal_map, error_deg=error, noise_deg=noise_deg, weight=weight)
 
 
 def with_doubt(normal_map: NormalMap, doubt_deg: Float32Array) -> NormalMap:
@@ -175,8 +181,68 @@ def _pairs_of_lights(response: LightResponse) -> Float32Array:
     return pairs.astype(np.float32)
 
 
-# Compiled loops. Rows are flat slices, whose loops begin at 0: only such loops are done eight pixels at a
-# time.
+def normals_and_errors_from_encoded(
+    encoded: Array,
+    response: LightResponse,
+    transfer: Transfer,
+    mask: Mask | None = None,
+    *,
+    camera: Camera | None = None,
+    options: InversionOptions | None = None,
+    bits: int | None = None,
+    residual_deg: float = 0.0,
+    blur_px: float = 0.0,
+    residual_of_pixels: bool = False,
+) -> tuple[NormalMap, float]:
+    """Decode, invert and tell the error in one pass; return the map and the share of clipped pixels.
+
+    The normals of `normals_from_encoded` with the errors of `with_expected_error`.
+    """
+    shape = require_encoded(encoded)
+    inside, decoding = require_mask_or_all(mask, shape), decoding_of(encoded, transfer, bits)
+    maps = None if response.variation is None else leveller_of(response, shape).maps
+    light = FrameLight(np.ascontiguousarray(encoded), decoding.table, None, decoding.white, maps)
+    options = options or InversionOptions()
+    c = coefficients_from_rig(response, camera, options.relative_albedo, options.darkest)
+    noise_deg, noise, constants = _judged(light, inside, None, c, residual_deg, blur_px, residual_of_pixels)
+    inversion = coefficients_from_response(response, options)
+    limits = np.array([inversion.darkest, inversion.clipped_factor, decoding.white], np.float32)
+    normals, valid = np.empty((*shape, 3), np.float32), np.empty(shape, np.bool_)
+    error, weight = np.empty(shape, np.float32), np.empty(shape, np.float32)
+    clipped = np.zeros(shape[0], np.int64)
+    out = (rows_of(normals), valid, error, weight, clipped)
+    image = rows_of(light.image)
+    _normals_and_errors_kernel(image, decoding.table, maps, inside, noise, constants, limits, out)
+    found = NormalMap(
+        normals_in_camera=normals,
+        mask=valid,
+        weight=weight,
+        error_deg=error,
+        noise_deg=noise_deg,
+    )
+    return found, float(clipped.sum()) / max(1, shape[0] * shape[1])
+
+
+def _judged(
+    light: FrameLight, mask: Mask, labels: VisibilityLabels | None, c: Coefficients, residual_deg: float,
+    blur_px: float, of_pixels: bool,
+) -> tuple[Any, Any, Any]:  # fmt: skip
+    """Return the noise by cells, in degrees as the bounds are, what `evidence_row` reads, and constants.
+
+    Constants, (47,): M⁻¹, the ambient light, the squared bound that all pixels share, noise along a normal
+    over that across it, and the ellipsoid.
+    """
+    noise, seen, rows, ellipsoid = evidence_of_frame(light, mask, labels, c, blur_px)
+    residual = (_OF_RESIDUAL * max(residual_deg, 0.0)) ** 2
+    if of_pixels and seen.any():
+        residual = max(residual - float(_PER_NOISE * np.median(noise[seen > 0])), 0.0)
+    fixed = residual + (np.degrees(_OF_ROTATION) * ellipsoid[32]) ** 2
+    constants = np.concatenate([c.inverse.ravel(), c.ambient, (fixed, c.along), ellipsoid])
+    return np.sqrt(_PER_NOISE * noise), rows, constants.astype(np.float32)
+
+
+# Compiled loops. A table of None stands for linear light: numba drops the branches for another. Rows are
+# flat slices, whose loops begin at 0: only such loops are done eight pixels at a time.
 
 
 @njit(cache=True, error_model="numpy")
@@ -255,7 +321,7 @@ def _leave_out(
     reach = _LEFT_OUT_PX // 2
     apart = np.zeros(count + _LEFT_OUT_PX, np.float32)
     x, y, z = np.empty(count, np.float32), np.empty(count, np.float32), np.empty(count, np.float32)
-    read_row(found, x, y, z)
+    read_row(found, None, x, y, z)
     for u in range(count):
         square = (r[u] - x[u]) ** 2 + (g[u] - y[u]) ** 2 + (b[u] - z[u]) ** 2
         # in two directions; what is farther off is no noise
@@ -294,7 +360,7 @@ def _error_kernel(
         length, unlit = np.empty(count, np.float32), np.zeros(count, np.float32)
         row_noise = np.empty((3, count), np.float32)
         evidence_row(noise, np.int64(v), first, row_noise)
-        read_row(rgb[v, 3 * first : 3 * last], r, g, b)
+        read_row(rgb[v, 3 * first : 3 * last], None, r, g, b)
         found = None if labels is None else normals[v, 3 * first : 3 * last]
         if labels is not None:
             _unlit_row(r, g, b, found, labels[v, first:last], pairs, constants, unlit)
@@ -345,3 +411,41 @@ def _unlit_row(
         known = squared < np.float32(8.0)  # no NaN
         bound = _PER_DISTANCE * squared + _PER_NOISE * _ALBEDO_SPREAD * _ALBEDO_SPREAD * moved
         unlit[u] = min(max(bound, SHORTEST), _LARGEST_DEG * _LARGEST_DEG) if known else unknown
+
+
+@njit(cache=True, parallel=True, error_model="numpy")
+def _normals_and_errors_kernel(
+    encoded: Any, table: Any, maps: Any, mask: Mask, noise: Any, constants: Any, limits: Any, out: Any
+) -> None:
+    """Fill normals (h, w, 3), valid, the bound in degrees and its weight (h, w), and clipped pixels a row."""
+    height, width = mask.shape
+    normals, valid, error, weight, clipped = out  # numba drops stores through a tuple's field inside prange
+    darkest, clipped_factor, white, zero = limits[0], limits[1], limits[2], np.float32(0.0)
+    for v in prange(height):
+        r, g, b = np.empty(width, np.float32), np.empty(width, np.float32), np.empty(width, np.float32)
+        length, row_noise = np.empty(width, np.float32), np.empty((3, width), np.float32)
+        unlit, good = np.zeros(width, np.float32), np.empty(width, np.bool_)
+        evidence_row(noise, np.int64(v), 0, row_noise)
+        read_row(encoded[v], table, r, g, b)
+        count = 0
+        for u in range(width):
+            largest = max(r[u], g[u])
+            top = max(largest, b[u]) >= white
+            count += top
+            good[u] = mask[v, u] & ((not top) | (clipped_factor > zero))
+        clipped[v] = count
+        if maps is not None:
+            map_row(maps, np.int64(v), 0, r, g, b)
+        near = slow_changes_at(mask.shape, constants, 0, v)
+        _bound_row(r, g, b, None, unlit, row_noise, good, constants, near, length, error[v], weight[v])
+        to_error, to_weight, to_valid, to_normals = error[v], weight[v], valid[v], normals[v]
+        for u in range(width):
+            kept = good[u] & (length[u] > darkest) & (length[u] < LONGEST) & (b[u] < zero)
+            to_valid[u] = kept
+            to_error[u] = to_error[u] if kept else zero
+            to_weight[u] = to_weight[u] if kept else zero
+            r[u], g[u], b[u] = r[u] if kept else zero, g[u] if kept else zero, b[u] if kept else zero
+        for u in range(width):
+            to_normals[3 * u] = r[u]
+            to_normals[3 * u + 1] = g[u]
+            to_normals[3 * u + 2] = b[u]

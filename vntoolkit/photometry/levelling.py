@@ -38,6 +38,8 @@ class Leveller:
     For stages that need one M, such as shadow detection. Exact where all three lights reach the pixel. Where
     one does not, the mixing adds a little of the other lights to it, less so the more the lights' directions
     at the pixel resemble those at the centre. To detect missing lights, use `frame_by_strength`.
+
+    maps: what `frame` does, for loops over rows.
     """
 
     def __init__(self, response: LightResponse, shape: tuple[int, int]) -> None:
@@ -51,7 +53,7 @@ class Leveller:
             gains = strengths / np.linalg.norm(split @ matrices, axis=-1)
             return np.asarray(np.linalg.inv(split) @ (gains[..., None] * split))
 
-        self._level = _maps(response, shape, level)
+        self.maps = _maps(response, shape, level)
         self._by_strength = _maps(response, shape, by_strength)
 
     def frame(self, frame: LinearFrame, box: Box | None = None) -> LinearFrame:
@@ -59,7 +61,7 @@ class Leveller:
 
         box: the rows and the columns that count; beyond them all is 0. None for all.
         """
-        return _mapped(frame, self._level, box)
+        return _mapped(frame, self.maps, box)
 
     def frame_by_strength(self, frame: LinearFrame, box: Box | None = None) -> LinearFrame:
         """Return the frame with every light as strong as at the centre; a missing light stays missing.
@@ -73,11 +75,6 @@ class Leveller:
         """Return `frame_by_strength` of some rows and columns alone."""
         part = LinearFrame(rgb=frame.rgb[box], clipped=frame.clipped[box], number=frame.number)
         return _mapped(part, self._by_strength, None, (int(box[0].start), int(box[1].start)))
-
-
-def levelled(frame: LinearFrame, response: LightResponse, box: Box | None = None) -> LinearFrame:
-    """Return `Leveller.frame`; the frame itself where one M serves all of it."""
-    return frame if response.variation is None else leveller_of(response, frame.shape).frame(frame, box)
 
 
 @lru_cache(maxsize=1)

@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from vntoolkit.arrays import Normals, VisibilityLabels
 from vntoolkit.photometry.frame import ALL_LIT, LinearFrame
-from vntoolkit.photometry.levelling import levelled
+from vntoolkit.photometry.levelling import leveller_of
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.tracking.slopes import GRAZING, Relief
 
@@ -43,7 +43,7 @@ def paint_of_frame(
     normals: (h, w, 3), 0 where none is known. ρ is 0 where a channel is clipped, and where labels (h, w) say
     that a light is missing.
     """
-    level = levelled(linear, response)
+    level = linear if response.variation is None else leveller_of(response, linear.shape).frame(linear)
     central = response.central
     around = np.asarray(cv2.GaussianBlur(normals, (_TAPS, _TAPS), _AROUND_PX), np.float32)
     light = around @ np.float32(central.matrix).T
