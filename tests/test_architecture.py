@@ -86,7 +86,7 @@ LINES = {
     "io": 8920,
     "live": 910,
     "materials": 2900,
-    "meshing": 410,
+    "meshing": 440,
     "normals": 1570,
     "options": 1710,
     "photometry": 1060,

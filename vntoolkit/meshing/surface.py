@@ -1,8 +1,6 @@
 """A triangle mesh or a point cloud from depth, with one vertex per valid pixel.
 
-A mesh's outline follows that of its surface between the pixels: in a window around each pixel of the rim, the
-share of the pixels that belong to the same surface, and where it falls, tell how far the edge is. The vertex
-goes there, on the plane of its normal. Else the outline would have the steps of the pixels.
+At its rims a mesh ends between pixels (`rims`).
 """
 
 from typing import Any
@@ -28,6 +26,7 @@ from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, NormalMap
 from vntoolkit.geometry.mesh import Mesh, vertex_normals
 from vntoolkit.geometry.point_cloud import PointCloud
+from vntoolkit.meshing.rims import Rim, Sides, fit_rim, without_folds
 from vntoolkit.native import njit
 from vntoolkit.options.depth import MeshOptions
 
@@ -51,56 +50,24 @@ def mesh_from_depth(
     """
     options = options or MeshOptions()
     _require_match(depth_map, camera, rgb, normal_map)
-    rows, columns, faces, moves = _grid_of(depth_map, camera, options)
+    rows, columns, faces, rim = _grid_of(depth_map, camera, options)
     pixels = rows * camera.width + columns
-    grid = np.stack([columns, rows], axis=-1).astype(np.float64)
-    depth = _values_at(depth_map.depth, pixels)
-    points = camera.unproject(grid, depth)
-    normals = _normals_at(normal_map, pixels, points, faces)
-    moves = _without_folds(grid, moves, faces)
-    places, moved = grid + moves, np.flatnonzero((moves[:, 0] != 0) | (moves[:, 1] != 0))
-    points[moved] = _on_planes(points[moved], normals[moved], places[moved], depth[moved], camera)
+    places: FloatArray = np.stack([columns, rows], axis=-1).astype(np.float64)
+    depth = _values_at(depth_map.depth, pixels).astype(np.float64)
+    moves = np.zeros_like(places)
+    moves[rim.chosen] = rim.moves * options.stride
+    moves = without_folds(places, moves, faces)[rim.chosen]
+    places[rim.chosen] += moves
+    depth[rim.chosen] = rim.planes[:, 0] + (rim.planes[:, 1:] * moves).sum(axis=1) / options.stride
+    points = camera.unproject(places, depth)
     return Mesh(
         vertices=points,
         faces=faces,
-        normals=normals,
+        normals=_normals_at(normal_map, pixels, points, faces),
         colours=_colours_at(rgb, pixels),
         error_deg=None if normal_map is None else _values_at(normal_map.error_deg, pixels),
         uv=_uv_at(camera, places),
     )
-
-
-def _without_folds(grid: FloatArray, moves: FloatArray, faces: Faces) -> FloatArray:
-    """Return moves (n, 2) in pixels; none of a triangle that would lose most of its area, or turn over."""
-    moved = (moves[:, 0] != 0) | (moves[:, 1] != 0)
-    at_rim = faces[moved[faces[:, 0]] | moved[faces[:, 1]] | moved[faces[:, 2]]]
-    while len(at_rim):
-        a, b, c = ((grid + moves)[at_rim[:, i]] for i in range(3))
-        first, second = b - a, c - a
-        twice = first[:, 1] * second[:, 0] - first[:, 0] * second[:, 1]
-        a, b, c = (grid[at_rim[:, i]] for i in range(3))
-        first, second = b - a, c - a
-        bad = twice < _LEAST_AREA * (first[:, 1] * second[:, 0] - first[:, 0] * second[:, 1])
-        bad &= (moves[at_rim] != 0).any(axis=(1, 2))
-        if not bad.any():
-            break
-        moves[at_rim[bad]] = 0.0
-    return moves
-
-
-def _on_planes(
-    points: Points, normals: Points, places: FloatArray, depth: FloatArray, camera: Camera
-) -> Points:
-    """Return where the rays of other places (n, 2) meet the planes of points and normals (n, 3).
-
-    Where the plane is seen at a grazing angle, depth stays.
-    """
-    here = camera.unproject(places, depth)
-    ray = camera.unproject(places, depth + 1.0) - here
-    facing = np.einsum("ni,ni->n", normals, ray) / np.linalg.norm(ray, axis=1)
-    along = np.einsum("ni,ni->n", normals, points - here)
-    way = np.where(facing < -_LEAST_FACING, along / np.minimum(facing, -_LEAST_FACING), 0.0)
-    return here + way[:, None] * ray / np.linalg.norm(ray, axis=1, keepdims=True)
 
 
 @checks_kinds
@@ -137,8 +104,8 @@ def _require_match(
 
 def _grid_of(
     depth_map: DepthMap, camera: Camera, options: MeshOptions
-) -> tuple[IntArray, IntArray, Faces, FloatArray]:
-    """Return rows and columns of the pixels that become vertices, triangles, and moves (n, 2) to the edge."""
+) -> tuple[IntArray, IntArray, Faces, Rim]:
+    """Return rows and columns of the pixels that become vertices, triangles, and the rim, by vertices."""
     step = options.stride
     mask = depth_map.mask[::step, ::step]
     box, whole = box_of(mask), mask.shape
@@ -161,13 +128,27 @@ def _grid_of(
     rows, columns = np.empty((2, first[0, -1]), np.int64)
     corner = box[0].start, box[1].start
     faces = np.empty((first[1, -1], 3), np.int32)
-    index = np.empty(mask.shape, np.int32)
-    moves = np.zeros((len(rows), 2))
+    index = np.full(mask.shape, -1, np.int32)
     _vertices_kernel(kept, first[0], corner, step, index, rows, columns)
     _faces_kernel(kept, first[1], index, faces)
     frame = (*(corner[i] == 0 for i in range(2)), *(box[i].stop == whole[i] for i in range(2)))
-    _moves_kernel(mask, depth, kept, index, largest, camera.is_perspective, frame, moves)
-    return rows, columns, faces, moves * step
+    v, u = _beside_gaps(kept, index, frame)
+    steps = largest * np.abs(depth[v, u]) if camera.is_perspective else largest
+    rim = fit_rim(mask, depth, v, u, steps, frame)
+    return rows, columns, faces, rim._replace(chosen=index[v, u][rim.chosen])
+
+
+def _beside_gaps(kept: IntArray, index: IntArray, sides: Sides) -> tuple[IntArray, IntArray]:
+    """Return rows and columns of vertices where one of the four quads around has less than two triangles."""
+    whole = np.pad((kept[:-1, :-1] == _BOTH[0]) | (kept[:-1, :-1] == _BOTH[1]), 1)
+    whole[0] |= sides[0]
+    whole[:, 0] |= sides[1]
+    whole[-1] |= sides[2]
+    whole[:, -1] |= sides[3]
+    rows, columns = np.nonzero(
+        (index >= 0) & ~(whole[:-1, :-1] & whole[:-1, 1:] & whole[1:, :-1] & whole[1:, 1:])
+    )
+    return rows, columns
 
 
 def _uv_at(camera: Camera, places: FloatArray) -> FloatArray:
@@ -199,18 +180,13 @@ def _values_at(image: Array | None, pixels: IntArray) -> Any:
     return image.reshape(-1, *image.shape[2:]).take(pixels, axis=0)  # half the time of [rows, columns]
 
 
-_LEAST_AREA = 0.1  # of a triangle at the rim, beside what it had
-_LEAST_FACING = 0.2  # cosine between normal and ray below which a plane tells no depth
-_SMOOTHED_PX = 2.0  # standard deviation of the Gaussian that smooths the outline: steps are a pixel high …
-_WINDOW = 4  # … and its reach
-_FARTHEST_MOVE = 1.0  # pixels: the edge is before the next
-
 # Compiled loops. A pixel stands for the quad whose upper left corner it is: corners a, b (right), c (below)
 # and d (below right). Four valid corners make two triangles; three, or four of which one lies beyond a jump,
 # make one.
 
 # x right, y down, z away: (top left, bottom left, top right) turns counter-clockwise for the camera
 _CORNERS = ((0, 2, 1), (1, 2, 3), (0, 2, 3), (0, 3, 1))
+_BOTH = (0b0011, 0b1100)  # two of them make a quad
 
 
 @njit(cache=True, parallel=True)
@@ -294,72 +270,3 @@ def _faces_kernel(kept: Mask, first: IntArray, index: IntArray, faces: Faces) ->
                         corner = _CORNERS[i][j]
                         faces[number, j] = index[v + (corner >> 1), u + (corner & 1)]
                     number += 1
-
-
-@njit(cache=True, inline="always")
-def _is_of_surface(
-    mask: Mask,
-    depth: Depth,
-    v: int,
-    u: int,
-    j: int,
-    i: int,
-    step: float,
-    frame: tuple[bool, bool, bool, bool],
-) -> bool:
-    """True where the pixel j rows and i columns on lies on the surface of pixel (v, u).
-
-    step: the largest of depth from pixel to pixel. Beyond a side of the picture the surface goes on.
-    """
-    h, w = mask.shape
-    y, x = v + j, u + i
-    if (y < 0 and frame[0]) or (y >= h and frame[2]):
-        y = v
-    if (x < 0 and frame[1]) or (x >= w and frame[3]):
-        x = u
-    if y < 0 or y >= h or x < 0 or x >= w or not mask[y, x]:
-        return False
-    return abs(depth[y, x] - depth[v, u]) <= step * max(abs(i), abs(j), 1)
-
-
-@njit(cache=True, parallel=True)
-def _moves_kernel(
-    mask: Mask,
-    depth: Depth,
-    kept: Mask,
-    index: IntArray,
-    largest: float,
-    times_depth: bool,
-    frame: tuple[bool, bool, bool, bool],
-    moves: FloatArray,
-) -> None:
-    """Fill moves (n, 2), along u and v, of the pixels of the rim. frame: whether a side is the picture's."""
-    h, w = mask.shape
-    for row in prange(h):
-        v = np.int64(row)  # signed, for what lies beyond the border
-        for u in range(w):
-            if not _is_used(kept, v, u):
-                continue
-            step = largest * (abs(depth[v, u]) if times_depth else 1.0)
-            inside = _is_of_surface(mask, depth, v, u, 0, -1, step, frame)
-            inside &= _is_of_surface(mask, depth, v, u, 0, 1, step, frame)
-            inside &= _is_of_surface(mask, depth, v, u, -1, 0, step, frame)
-            inside &= _is_of_surface(mask, depth, v, u, 1, 0, step, frame)
-            if inside:
-                continue
-            total, share, fall_u, fall_v = 0.0, 0.0, 0.0, 0.0
-            for j in range(-_WINDOW, _WINDOW + 1):
-                for i in range(-_WINDOW, _WINDOW + 1):
-                    weight = np.exp(-0.5 * (i * i + j * j) / _SMOOTHED_PX**2)
-                    total += weight
-                    if _is_of_surface(mask, depth, v, u, j, i, step, frame):
-                        share += weight
-                        fall_u += weight * i
-                        fall_v += weight * j
-            length = np.hypot(fall_u, fall_v)
-            if length == 0.0:
-                continue
-            way = _SMOOTHED_PX**2 * (share - 0.5 * total) / length
-            way = max(min(way, _FARTHEST_MOVE), -_FARTHEST_MOVE)
-            moves[index[v, u], 0] = -way * fall_u / length
-            moves[index[v, u], 1] = -way * fall_v / length
