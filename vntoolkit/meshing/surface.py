@@ -111,7 +111,7 @@ def _grid_of(
     box, whole = box_of(mask), mask.shape
     mask = np.ascontiguousarray(mask[box])
     depth = np.ascontiguousarray(depth_map.depth[::step, ::step][box])
-    kept = np.zeros(mask.shape, np.uint8)
+    kept: IntArray = np.zeros(mask.shape, np.uint8)
     largest = options.largest_step * step / camera.matrix[0, 0]
     _triangles_kernel(mask, depth, largest, camera.is_perspective, kept)
     if not kept.any():
@@ -122,32 +122,32 @@ def _grid_of(
             f"mesh: depth jumps by more than {options.largest_step:g} pixel widths in every triangle; raise "
             "the largest step"
         )
-    counts = np.empty((2, mask.shape[0]), np.int64)
-    _counts_kernel(kept, counts)
-    first = np.concatenate([np.zeros((2, 1), np.int64), np.cumsum(counts, axis=1)], axis=1)
-    rows, columns = np.empty((2, first[0, -1]), np.int64)
+    used = np.zeros(mask.shape, bool)
+    for (down, right), triangles in _TRIANGLES_OF.items():
+        used[down:, right:] |= (kept[: len(kept) - down, : kept.shape[1] - right] & triangles) != 0
+    rows, columns = np.nonzero(used)
+    index = np.empty(mask.shape, np.int32)
+    index[used] = np.arange(len(rows))
+    first = np.cumsum([0, *np.bitwise_count(kept).sum(axis=1, dtype=np.int64)])
+    faces = np.empty((first[-1], 3), np.int32)
+    _faces_kernel(kept, first, index, faces)
     corner = box[0].start, box[1].start
-    faces = np.empty((first[1, -1], 3), np.int32)
-    index = np.full(mask.shape, -1, np.int32)
-    _vertices_kernel(kept, first[0], corner, step, index, rows, columns)
-    _faces_kernel(kept, first[1], index, faces)
     frame = (*(corner[i] == 0 for i in range(2)), *(box[i].stop == whole[i] for i in range(2)))
-    v, u = _beside_gaps(kept, index, frame)
+    v, u = _beside_gaps(kept, used, frame)
     steps = largest * np.abs(depth[v, u]) if camera.is_perspective else largest
     rim = fit_rim(mask, depth, v, u, steps, frame)
+    rows, columns = (rows + corner[0]) * step, (columns + corner[1]) * step
     return rows, columns, faces, rim._replace(chosen=index[v, u][rim.chosen])
 
 
-def _beside_gaps(kept: IntArray, index: IntArray, sides: Sides) -> tuple[IntArray, IntArray]:
+def _beside_gaps(kept: IntArray, used: Mask, sides: Sides) -> tuple[IntArray, IntArray]:
     """Return rows and columns of vertices where one of the four quads around has less than two triangles."""
     whole = np.pad((kept[:-1, :-1] == _BOTH[0]) | (kept[:-1, :-1] == _BOTH[1]), 1)
     whole[0] |= sides[0]
     whole[:, 0] |= sides[1]
     whole[-1] |= sides[2]
     whole[:, -1] |= sides[3]
-    rows, columns = np.nonzero(
-        (index >= 0) & ~(whole[:-1, :-1] & whole[:-1, 1:] & whole[1:, :-1] & whole[1:, 1:])
-    )
+    rows, columns = np.nonzero(used & ~(whole[:-1, :-1] & whole[:-1, 1:] & whole[1:, :-1] & whole[1:, 1:]))
     return rows, columns
 
 
@@ -186,6 +186,7 @@ def _values_at(image: Array | None, pixels: IntArray) -> Any:
 
 # x right, y down, z away: (top left, bottom left, top right) turns counter-clockwise for the camera
 _CORNERS = ((0, 2, 1), (1, 2, 3), (0, 2, 3), (0, 3, 1))
+_TRIANGLES_OF = {(0, 0): 0b1101, (0, 1): 0b1011, (1, 0): 0b0111, (1, 1): 0b1110}  # bits, by corner
 _BOTH = (0b0011, 0b1100)  # two of them make a quad
 
 
@@ -209,53 +210,6 @@ def _triangles_kernel(mask: Mask, depth: Depth, largest: float, times_depth: boo
                     if step <= largest * mean:
                         bits |= 1 << i
             kept[v, u] = bits
-
-
-@njit(cache=True, inline="always")
-def _is_used(kept: Mask, v: int, u: int) -> bool:
-    """True where a triangle of the four quads around a pixel has it for a corner."""
-    used = kept[v, u] & 0b1101 != 0
-    if u > 0:
-        used |= kept[v, u - 1] & 0b1011 != 0
-    if v > 0:
-        used |= kept[v - 1, u] & 0b0111 != 0
-        if u > 0:
-            used |= kept[v - 1, u - 1] & 0b1110 != 0
-    return used
-
-
-@njit(cache=True, parallel=True)
-def _counts_kernel(kept: Mask, counts: IntArray) -> None:
-    """Fill counts (2, h): vertices and triangles of each row."""
-    h, w = kept.shape
-    for v in prange(h):
-        vertices, triangles = 0, 0
-        for u in range(w):
-            vertices += _is_used(kept, v, u)
-            for i in range(4):
-                triangles += (kept[v, u] >> i) & 1
-        counts[0, v], counts[1, v] = vertices, triangles
-
-
-@njit(cache=True, parallel=True)
-def _vertices_kernel(
-    kept: Mask,
-    first: IntArray,
-    corner: tuple[int, int],
-    step: int,
-    index: IntArray,
-    rows: IntArray,
-    columns: IntArray,
-) -> None:
-    """Number vertices by rows: index (h, w), rows, columns (n,). corner: of kept, after the stride."""
-    h, w = kept.shape
-    for v in prange(h):
-        number = first[v]
-        for u in range(w):
-            if _is_used(kept, v, u):
-                index[v, u] = number
-                rows[number], columns[number] = (corner[0] + v) * step, (corner[1] + u) * step
-                number += 1
 
 
 @njit(cache=True, parallel=True)
