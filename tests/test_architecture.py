@@ -86,7 +86,7 @@ LINES = {
     "io": 8920,
     "live": 910,
     "materials": 2900,
-    "meshing": 390,
+    "meshing": 380,
     "normals": 1570,
     "options": 1710,
     "photometry": 1060,
