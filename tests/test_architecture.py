@@ -106,7 +106,7 @@ CLOSURES = {
     "export": (51, 6_860),
     "view": (56, 7_500),
     "report": (51, 6_750),
-    "integrate": (79, 12_240),
+    "integrate": (79, 12_160),
     "dress": (92, 14_680),
     "simulate": (78, 11_460),
     "doctor": (30, 3_740),
