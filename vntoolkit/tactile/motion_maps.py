@@ -39,12 +39,10 @@ def motion_over_picture(
         values[field.nearest].astype(np.float64) if len(values) else np.zeros(len(places))
         for values in (motion.found, motion.error_px)
     )
-    # In the frame u(y) = y − X(y): the gradient by y becomes one by X.
-    gradient = np.linalg.inv(np.eye(2) - field.gradient) - np.eye(2)
-    stretch = np.linalg.det(np.eye(2) + gradient) - 1.0
-    turned = np.degrees(
-        np.arctan2(gradient[:, 1, 0] - gradient[:, 0, 1], 2.0 + gradient[:, 0, 0] + gradient[:, 1, 1])
-    )
+    # In the frame u(y) = y − X(y): of X by y, the inverse of y by X, which turns the other way
+    xx, xy, yx, yy = (np.eye(2) - field.gradient).reshape(-1, 4).T
+    stretch = 1.0 / (xx * yy - xy * yx) - 1.0
+    turned = np.degrees(np.arctan2(xy - yx, xx + yy))
     values = np.column_stack([pixel_mm * field.displacement_px, stretch, turned, pixel_mm * error, found])
     maps = enlarged(values, membrane.cells, contact.shape)
     seen = maps[..., 5] > 0.5
