@@ -225,8 +225,9 @@ class Membrane:
         # a Gaussian is that of the column times that of the row: no weight of each cell and point is needed
         across = _weights(self.cells.columns_px[:, None], places[:, :1], self._reach_px)
         down = _weights(self.cells.rows_px[:, None], places[:, 1:], self._reach_px)
-        by_column = (across[:, None] * terms.T).reshape(-1, len(places))
-        moved, gradient = _affine_fit((down @ by_column.T).reshape(len(middles), -1), middles, self._reach_px)
+        by_column = across[..., None] * terms  # small products: BLAS takes no second thread to them
+        sums = (down @ by_column).transpose(1, 0, 2).reshape(len(middles), -1)
+        moved, gradient = _affine_fit(sums, middles, self._reach_px)
         return MotionField(moved, gradient, cKDTree(places).query(middles)[1])
 
 
