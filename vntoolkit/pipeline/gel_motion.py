@@ -55,7 +55,7 @@ def motion_file(target: Path, number: int) -> Path:
 
 
 def read_displacement_mm(target: Path, number: int) -> Float32Array | None:
-    """Read the motion (h, w, 2) of a frame's material, NaN where it is lost; None where `track` wrote none."""
+    """Read the motion (h, w, 2) of a frame's material, NaN where lost; None where `track` wrote none."""
     path = motion_file(target, number)
     if not path.exists():
         return None
