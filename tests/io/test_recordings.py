@@ -120,7 +120,6 @@ def test_a_recording_that_is_not_read_is_one_line(tmp_path: Path) -> None:
         ("cut", content[:-40], rf"ends early, after {len(content) - 40} bytes, .*; run `mcap recover FILE"),
         ("mark", content[:8], "ends early, after 8 bytes"),
         ("text", b"hello", r"expected an MCAP recording, .*; this file begins with b'hello': name a"),
-        ("empty", b"", "this file is empty: name a recording"),
         ("hole", content[:8] + bytes(len(content) - 60) + content[-52:], "is damaged between its beginning"),
     ):
         (tmp_path / f"{name}.mcap").write_bytes(wrong)

@@ -145,10 +145,9 @@ def _require_whole(path: Path) -> None:
         stream.seek(max(size - len(_MAGIC), 0))
         last = stream.read()
     if first != _MAGIC:
-        begins = f"begins with {first!r}" if first else "is empty"
         raise BadCapture(
-            f"{path}: expected an MCAP recording, which begins with {_MAGIC!r}; this file {begins}: name a "
-            "recording"
+            f"{path}: expected an MCAP recording, which begins with {_MAGIC!r}; this file begins with "
+            f"{first!r}: name a recording"
         )
     if last != _MAGIC or size < 2 * len(_MAGIC):
         raise BadCapture(
