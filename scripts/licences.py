@@ -35,6 +35,14 @@ READ = {
     "surfalize": "GPL-3.0",
     "usd-core": "TOST-1.0 (Apache-2.0 with another trademark clause)",
 }
+# Classifiers by their SPDX names; "BSD License" does not say which.
+SHORT = {
+    "MIT License": "MIT",
+    "BSD License": "BSD",
+    "ISC License (ISCL)": "ISC",
+    "Apache Software License": "Apache-2.0",
+    "Mozilla Public License 2.0 (MPL 2.0)": "MPL-2.0",
+}
 HEAD = """# Licences
 
 vntoolkit is under the MIT licence. Its dependencies keep their own.
@@ -75,7 +83,8 @@ def licence_of(name: str) -> str:
     if said["License-Expression"]:
         return str(said["License-Expression"])
     classes = [c.split(" :: ")[-1] for c in said.get_all("Classifier") or [] if c.startswith("License ::")]
-    return ", ".join(classes) or str(said["License"] or "").splitlines()[0]
+    stated = ", ".join(classes) or str(said["License"] or "").splitlines()[0]
+    return SHORT.get(stated, stated)
 
 
 def page() -> str:
