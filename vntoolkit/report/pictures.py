@@ -22,7 +22,6 @@ from vntoolkit.io.footage.image_writing import resized_image, write_png
 from vntoolkit.io.maps_and_meshes.label_images import MATERIAL_PALETTE, label_colours
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.pipeline.opened_result import OpenedResult
-from vntoolkit.report.dents import picture_of_dents, scale_end_mm
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -124,6 +123,8 @@ def pictures_of_frame(
     if depth_map is not None:
         pictures["depth"] = picture_of_depth(depth_map, result.camera, ground=ground)
         if result.rig.gel is not None:
+            from vntoolkit.report.dents import picture_of_dents, scale_end_mm
+
             depths = [entry.contact_depth_mm or 0.0 for entry in result.entries.values()]
             pictures["dents"] = picture_of_dents(depth_map, scale_end_mm(max(depths, default=0.0)), ground)
     if labels is not None:

@@ -215,8 +215,8 @@ class ObjectPose:
     def _seen(self, key: _Keyframe, view: _View, now: RigidTransform, off_mm: Array = _HERE) -> FloatArray:
         """What the frame shows, (n, 5), where the samples of a keyframe are now, beside there by `off_mm`."""
         places = now.apply(key.points + off_mm)[:, None, :2] / self._pixel_mm + self._centre_px
-        at = places.astype(np.float32)
-        seen = [cv2.remap(each, at, None, cv2.INTER_LINEAR) for each in (view.normals, view.more)]
+        u, v = np.moveaxis(places.astype(np.float32), -1, 0)
+        seen = [cv2.remap(each, u, v, cv2.INTER_LINEAR) for each in (view.normals, view.more)]
         return np.concatenate(seen, axis=-1)[:, 0].astype(np.float64)
 
     def _shared_now(self, key: _Keyframe, view: _View) -> float:
