@@ -20,13 +20,9 @@ Stages exchange these objects:
 Public names are imported on first use, so that `import vntoolkit` is fast.
 """
 
-from __future__ import annotations
-
-import importlib
-
 __version__ = "0.1.0"
 
-TYPE_CHECKING = False  # importing typing takes time, and a Ctrl-C before `main` leaves a traceback
+TYPE_CHECKING = False  # nothing is imported here: a Ctrl-C before `main` leaves a traceback
 if TYPE_CHECKING:
     # isort: off
     # The public names, in pipeline order: type checkers import them here, and `_modules` reads them.
@@ -133,6 +129,8 @@ else:  # else a type checker takes every name for a public one
     __all__ = [*_PUBLIC, "__version__"]
 
     def __getattr__(name):
+        import importlib
+
         if name not in _PUBLIC:
             raise AttributeError(f"module 'vntoolkit' has no attribute '{name}'")
         return getattr(importlib.import_module(_PUBLIC[name]), name)

@@ -1,17 +1,11 @@
 """The entry point: prints an error as one line, returns the exit status."""
 
-from __future__ import annotations
-
+# Nothing that is not loaded yet is imported here: a Ctrl-C before `main` leaves a traceback.
 import _thread
-import contextlib
 import errno
 import os
 import sys
 import time
-
-TYPE_CHECKING = False  # importing typing takes time, and a Ctrl-C before `main` leaves a traceback
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 # What a shell may have left there that libraries stumble over: figures are files, and a terminal of no width
 # is as good as none.
@@ -34,7 +28,7 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         from vntoolkit.threads import thread_policy  # inside: a Ctrl-C while it loads leaves no traceback
 
-        with _no_interrupt_lost(), thread_policy():
+        with _NoInterruptLost(), thread_policy():
             return _run(arguments)
     except KeyboardInterrupt as interrupt:
         hint = str(interrupt) or "run the same command again to continue"
@@ -58,23 +52,23 @@ def run() -> None:
     sys.exit(status)
 
 
-@contextlib.contextmanager
-def _no_interrupt_lost() -> Iterator[None]:
+class _NoInterruptLost:
     """Raise KeyboardInterrupt again where Python only prints it, as in a callback from compiled code."""
-    before = sys.unraisablehook
 
-    def hook(unraisable: sys.UnraisableHookArgs) -> None:
+    def __enter__(self) -> None:
+        self.before = sys.unraisablehook
+        sys.unraisablehook = self.hook
+
+    def __exit__(self, *_: object) -> None:
+        sys.unraisablehook = self.before
+
+    def hook(self, unraisable: "sys.UnraisableHookArgs") -> None:
+        """Take what is to be printed."""
         if issubclass(unraisable.exc_type, KeyboardInterrupt):
             # Not threading.Timer: its start waits, on a busy machine until the interrupt strikes in here.
             _thread.start_new_thread(_interrupt_soon, ())
         else:
-            before(unraisable)
-
-    sys.unraisablehook = hook
-    try:
-        yield
-    finally:
-        sys.unraisablehook = before
+            self.before(unraisable)
 
 
 def _let_go(interrupt: KeyboardInterrupt) -> None:
@@ -137,6 +131,8 @@ def _began_with_interrupt(error: BaseException | None) -> bool:
 
 
 def _fail(message: str, status: int = 1) -> int:
+    import contextlib
+
     from vntoolkit.errors import printable_line
     from vntoolkit.shipped import with_guide
 
@@ -147,6 +143,8 @@ def _fail(message: str, status: int = 1) -> int:
 
 def _print_whatever_comes() -> None:
     """Show as its escape what the terminal's encoding, or a name that is no UTF-8, has no character for."""
+    import contextlib
+
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(AttributeError, OSError):  # not a text file, or closed
             stream.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]

@@ -13,17 +13,19 @@ from pathlib import Path
 
 import pytest
 
+from tests.each_step import EachStep
 from tests.pipeline.conftest import DomeCapture, write_dome_capture
 from tests.pipeline.test_reconstruct import digest, footage_with_specks
 from tests.pipeline.test_reconstruct import job_of as reconstruct_job_of
 from vntoolkit.errors import BadInput, BadMesh, MissingDependency, VntError
 from vntoolkit.io.footage.frame_range import FrameRange
-from vntoolkit.io.results.frame_log import FrameEntry, FrameLog
+from vntoolkit.io.results.frame_log import FrameLog
 from vntoolkit.options.reconstruction import Product
 from vntoolkit.pipeline import cluster
 from vntoolkit.pipeline.cluster import connected
 from vntoolkit.pipeline.reconstruct import reconstruct
 from vntoolkit.pipeline.request import Request
+from vntoolkit.progress import heard_by
 
 
 def job_of(capture: DomeCapture, out: Path) -> Request:
@@ -49,7 +51,7 @@ def test_a_worker_that_dies_costs_nothing_but_time(tmp_path: Path) -> None:
         processes = client.run(os.getpid)
         assert len(processes) == 2
 
-        def strike(entry: FrameEntry) -> None:
+        def strike() -> None:
             if not struck:
                 struck.append(next(iter(processes.values())))
                 os.kill(struck[0], signal.SIGKILL)
@@ -57,7 +59,8 @@ def test_a_worker_that_dies_costs_nothing_but_time(tmp_path: Path) -> None:
 
         address = client.scheduler.address
         job = job_of(capture, many)
-        summary = reconstruct(job, scheduler=address, on_frame=strike)
+        with heard_by(EachStep(strike)):
+            summary = reconstruct(job, scheduler=address)
         survivors = set(client.run(os.getpid).values())
     assert struck
     assert struck[0] not in survivors
@@ -127,15 +130,15 @@ def test_what_happens_to_a_cluster_is_one_line_or_nothing(tmp_path, small_cluste
     capture = write_dome_capture(tmp_path / "footage", count=64)
     job, pending = job_of(capture, tmp_path / "out"), list(struck)
 
-    def strike(_entry: FrameEntry) -> None:
+    def strike() -> None:
         while pending:
             processes[pending.pop()].send_signal(how)
 
     expected = (
         pytest.raises(VntError, match=f"({line}).*run the same command again") if line else nullcontext()
     )
-    with expected:
-        reconstruct(job, scheduler=address, on_frame=strike)
+    with expected, heard_by(EachStep(strike)):
+        reconstruct(job, scheduler=address)
     done = len(FrameLog(tmp_path / "out").done())
     assert done == 64 if not line else 0 < done < 64
     assert reconstruct(job).resumed == done

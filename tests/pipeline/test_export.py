@@ -12,6 +12,7 @@ from pxr import Usd, UsdGeom
 from rerun.chunk import RrdReader
 
 from tests.dome_result import DomeResult, dome_result
+from tests.each_step import EachStep
 from tests.io.test_recordings import messages_of
 from tests.skinning.test_glb_export import accessor, chunks
 from tests.usd_reading import complaints
@@ -40,6 +41,7 @@ from vntoolkit.options.export import (
 from vntoolkit.options.tracking import TrackArguments
 from vntoolkit.pipeline.export import ExportJob, export
 from vntoolkit.pipeline.track import track
+from vntoolkit.progress import heard_by
 
 __all__ = ["dome_result"]
 FRAMES = "0:3"
@@ -206,8 +208,8 @@ def test_an_interrupted_export_goes_on(dome_result: DomeResult, tmp_path: Path) 
         if len(seen) == 2:
             raise KeyboardInterrupt
 
-    with pytest.raises(KeyboardInterrupt):
-        export(job, on_frame=interrupt)
+    with pytest.raises(KeyboardInterrupt), heard_by(EachStep(interrupt)):
+        export(job)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["000000.ply", "000001.ply", "export.json"]
     assert export(job).kept == 2
     other = ExportJob(

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.each_step import EachStep
 from tests.pipeline.conftest import DomeCapture
 from vntoolkit.errors import BadInput, BadMesh
 from vntoolkit.evaluation.angular_error import angles_between_deg
@@ -18,7 +19,7 @@ from vntoolkit.io.footage.image_writing import write_png
 from vntoolkit.io.maps_and_meshes.maps import read_depth_map, read_normal_map
 from vntoolkit.io.maps_and_meshes.masks import write_mask
 from vntoolkit.io.maps_and_meshes.meshes import read_mesh
-from vntoolkit.io.results.frame_log import FrameEntry, FrameLog
+from vntoolkit.io.results.frame_log import FrameLog
 from vntoolkit.io.results.manifest import ReconstructionFolder, read_manifest
 from vntoolkit.options.normals import ShadowMethod
 from vntoolkit.options.reconstruction import OnError, Product, ReconstructOptions
@@ -26,6 +27,7 @@ from vntoolkit.photometry.rig import FitQuality
 from vntoolkit.pipeline.frame_processor import Carried, FrameProcessor
 from vntoolkit.pipeline.reconstruct import blocks_of, reconstruct
 from vntoolkit.pipeline.request import Request
+from vntoolkit.progress import heard_by
 
 
 def job_of(capture: DomeCapture, out: Path, **options: object) -> Request:
@@ -93,13 +95,14 @@ def test_bytes_do_not_depend_on_the_workers(dome_capture, whole_run, tmp_path, j
 def test_an_interrupted_run_goes_on_and_ends_the_same(dome_capture, whole_run, tmp_path, stop_after):
     seen: list[int] = []
 
-    def interrupt(record: FrameEntry) -> None:
-        seen.append(record.number)
+    def interrupt() -> None:
+        seen.append(1)
         if len(seen) > stop_after:
             raise KeyboardInterrupt
 
-    with pytest.raises(KeyboardInterrupt, match="run the same command again"):
-        reconstruct(job_of(dome_capture, tmp_path), on_frame=interrupt)
+    again = pytest.raises(KeyboardInterrupt, match="run the same command again")
+    with again, heard_by(EachStep(interrupt)):
+        reconstruct(job_of(dome_capture, tmp_path))
     summary = reconstruct(job_of(dome_capture, tmp_path))
     assert summary.resumed >= stop_after
     assert summary.resumed + summary.done == 20

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.each_step import EachStep
 from tests.result_files import read_flow
 from vntoolkit.__main__ import main
 from vntoolkit.errors import BadInput, BadMesh, BadMotion
@@ -20,6 +21,7 @@ from vntoolkit.io.results.sequences import read_mesh_sequence
 from vntoolkit.io.rigs import read_rig
 from vntoolkit.options.simulation import Lighting, Nuisances, RenderOptions, SceneOptions
 from vntoolkit.pipeline.simulate import SimulationFolder, SimulationJob, simulate
+from vntoolkit.progress import heard_by
 from vntoolkit.simulation.render import render_frame
 from vntoolkit.simulation.scene import build_scene
 
@@ -94,11 +96,11 @@ def test_an_interrupted_run_goes_on_to_the_same_bytes(capture, tmp_path):
     class Stop(Exception):
         pass
 
-    def stop_after_the_first(place: int) -> None:
+    def stop_after_the_first() -> None:
         raise Stop
 
-    with pytest.raises(Stop):
-        simulate(job_in(tmp_path), on_frame=stop_after_the_first)
+    with pytest.raises(Stop), heard_by(EachStep(stop_after_the_first)):
+        simulate(job_in(tmp_path))
     assert not (tmp_path / "capture.mkv").exists()
     assert simulate(job_in(tmp_path)).rendered == 2
     assert bytes_in(tmp_path) == bytes_in(capture)

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.each_step import EachStep
 from tests.tracking.wrinkled_video import WrinkledVideo
 from vntoolkit.errors import BadInput
 from vntoolkit.io.maps_and_meshes.label_images import write_labels
@@ -24,6 +25,7 @@ from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline.checkerboard import write_checkerboard
 from vntoolkit.pipeline.track import track
+from vntoolkit.progress import heard_by
 
 FRAMES = 8
 
@@ -75,8 +77,8 @@ def test_an_interrupted_run_ends_in_the_same_bytes(folder: Path, stop_after: int
 
     track(job(folder, template=3, out=folder / "whole"))
     left = [None] * stop_after
-    with pytest.raises(KeyboardInterrupt):
-        track(job(folder, template=3, out=folder / "parts"), on_frame=interrupt)
+    with pytest.raises(KeyboardInterrupt), heard_by(EachStep(interrupt)):
+        track(job(folder, template=3, out=folder / "parts"))
     memories = list((folder / "parts").rglob("remembered.npz"))
     assert memories
     for memory in memories if killed else ():

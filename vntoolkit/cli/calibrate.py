@@ -2,7 +2,6 @@
 
 import os
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -16,7 +15,6 @@ from vntoolkit.cli.output import (
     MESH,
     PAGE,
     PICTURE,
-    ProgressBars,
     print_next,
     require_output,
     say,
@@ -143,10 +141,7 @@ class BoardArguments(FootageArguments, BoardOptions, IntrinsicsOptions, Response
 def calibrate_board(asked: BoardArguments) -> Rig:
     """Calibrate on the printed board, tilted in all directions, with the subject's material in its hole."""
     job = asked.job(str(asked.source))
-    with ProgressBars() as bars:
-        rig, result = calibrate.calibrate_board(
-            job, asked.part(BoardLayout), asked.part(BoardOptions), partial(bars.reach, "find the board")
-        )
+    rig, result = calibrate.calibrate_board(job, asked.part(BoardLayout), asked.part(BoardOptions))
     _keep(Path(asked.out), rig, job, result.fit)
     error = np.median([pose.error_px for pose in result.poses])
     focal = result.camera.matrix[0, 0]
@@ -254,8 +249,7 @@ def calibrate_head(asked: HeadArguments) -> Rig:
     job = asked.job(str(asked.source))
     for path, suffixes in ((asked.mesh, MESH), (asked.figure, PICTURE), (asked.report, PAGE)):
         require_output(path, suffixes)
-    with ProgressBars() as bars:
-        rig, result = fit_head(job, asked.part(HeadOptions), bars.reach)
+    rig, result = fit_head(job, asked.part(HeadOptions))
     _keep(Path(asked.out), rig, job)
     if asked.mesh is not None:
         write_mesh(asked.mesh, result.mesh)
@@ -348,10 +342,7 @@ def calibrate_presses(asked: PressesArguments) -> Rig:
         from vntoolkit.report.presses import write_press_overlay
 
         write_press_overlay(asked.overlay, job)
-    with ProgressBars() as bars:
-        result = pipeline.calibrate_presses(
-            job, asked.part(PressOptions), partial(bars.reach, "read presses")
-        )
+    result = pipeline.calibrate_presses(job, asked.part(PressOptions))
     judge([*result.findings, *check_lamps(result.rig), *check_residual(result.rig)], asked.allow)
     write_rig(Path(asked.out), result.rig)
     report_rig(Path(asked.out), result.rig, f"presses of {asked.source}")
@@ -416,10 +407,7 @@ def rectify(asked: RectifyArguments) -> Path:
     options = CaptureOptions(transfer=curve, sensor=asked.part(SensorOptions))
     capture = open_capture(str(asked.source), options)
     rectification = _rectification(asked, known, (capture.info.width, capture.info.height))
-    with ProgressBars() as bars:
-        count = pipeline.rectify_capture(
-            capture, rectification, Path(asked.out), partial(bars.reach, "rectify"), overwrite=asked.overwrite
-        )
+    count = pipeline.rectify_capture(capture, rectification, Path(asked.out), overwrite=asked.overwrite)
     _report_rectified(asked, count, rectification, capture)
     return Path(asked.out)
 

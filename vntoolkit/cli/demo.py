@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from vntoolkit.cli.output import ProgressBars, print_next, say
+from vntoolkit.cli.output import print_next, say
 from vntoolkit.cli.verb import verb
 from vntoolkit.options.base import File
 from vntoolkit.options.shared import JobOptions
@@ -33,11 +33,7 @@ def demo(asked: DemoArguments) -> OpenedResult:
     interrupted run continues where it stopped.
     """
     root = Path(asked.out)
-    with ProgressBars() as bars:
-        run_demo(
-            root, asked.part(DemoOptions), jobs=asked.jobs, overwrite=asked.overwrite,
-            on_start=bars.begin, on_frame=bars.step,
-        )  # fmt: skip
+    run_demo(root, asked.part(DemoOptions), jobs=asked.jobs, overwrite=asked.overwrite)
     made, truth = root / RECONSTRUCTION, root / GARMENT
     result = read_result(made)
     page = write_report(made, root / "report.html", extra=[truth_section(result, truth)])

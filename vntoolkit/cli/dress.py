@@ -2,10 +2,9 @@
 
 import contextlib
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 
-from vntoolkit.cli.output import MESH, ProgressBars, print_next_program, require_output, say
+from vntoolkit.cli.output import MESH, print_next_program, require_output, say
 from vntoolkit.cli.verb import verb
 from vntoolkit.io.motion.garment_fits import read_garment_fit
 from vntoolkit.io.results.folder import read_lock, write_lock
@@ -62,15 +61,9 @@ def dress(asked: DressArguments) -> Path:
             asked.part(DressOptions),
             None if asked.fit is None else read_garment_fit(asked.fit),
         )
-        with ProgressBars() as bars:
-            bars.begin("dress", len(dressed), 0)
-            summary = write_dressed_figure(dressed, out, bars.step, captured_look(folder))
+        summary = write_dressed_figure(dressed, out, captured_look(folder))
         if asked.preview:
-            with ProgressBars() as bars:
-                write_preview(
-                    out.parent, _preview_name(out), dressed,
-                    on_start=partial(bars.begin, "preview"), on_picture=bars.step,
-                )  # fmt: skip
+            write_preview(out.parent, _preview_name(out), dressed)
     cut = f"; {dressed.cut_triangles} triangles cut" if dressed.cut_triangles else ""
     rate = f"{dressed.clock.frame_rate_hz:g} frames per second"
     say(f"{out}: {summary.frames} frames of {len(dressed.template.vertices)} vertices, {rate}{cut}")

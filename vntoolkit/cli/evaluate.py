@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
+from vntoolkit import progress
 from vntoolkit.arrays import FloatArray
 from vntoolkit.cli.output import (
     print_next,
     print_table,
-    progress_bar,
     require_output,
     say,
     unused,
@@ -79,10 +79,7 @@ def evaluate_normal_files(asked: NormalsArguments) -> evaluate.NormalsComparison
     require_output(out / "normals.json")
     with write_lock(out):
         pairs = evaluate.pairs_of(measured, reference)
-        with progress_bar("normals", len(pairs)) as advance:
-            found = evaluate.compare_normal_files(
-                pairs, (asked.measured_convention, asked.reference_convention), lambda _name: advance(1)
-            )
+        found = evaluate.compare_normal_files(pairs, (asked.measured_convention, asked.reference_convention))
         content = {"measured": measured, "reference": reference}
         write_json(out / "normals.json", {**content, "overall": found.overall, "frames": found.frames})
         title = f"{found.worst}: mean {found.frames[found.worst].mean_deg:.2f}°"
@@ -174,13 +171,10 @@ def _compared(
     """Return the distances both ways, the scale of the alignment, and the distance of each vertex."""
     if why := mesh_comparison.mismatch(measured, target):
         _LOGGER.warning("%s", why)
-    count = len(mesh_comparison.positions(measured)) + len(mesh_comparison.positions(target))
-    with progress_bar("vertices", count) as advance:
-        generator = np.random.default_rng(_SEED)
-        options = asked.part(AlignmentOptions)
-        aligned, motion = mesh_comparison.align_mesh(measured, target, generator, options)  # type: ignore[type-var]
-        to_reference = mesh_comparison.vertex_distances(aligned, target, asked.measured_by, advance)
-        back = mesh_comparison.vertex_distances(target, aligned, asked.measured_by, advance)
+    generator, options = np.random.default_rng(_SEED), asked.part(AlignmentOptions)
+    aligned, motion = mesh_comparison.align_mesh(measured, target, generator, options)  # type: ignore[type-var]
+    to_reference = mesh_comparison.vertex_distances(aligned, target, asked.measured_by)
+    back = mesh_comparison.vertex_distances(target, aligned, asked.measured_by)
     distance = mesh_comparison.MeshDistance.from_vertices(to_reference, back, target.diagonal)
     return distance, motion.scale, to_reference
 
@@ -265,8 +259,7 @@ def evaluate_cylinder(asked: CylinderArguments) -> evaluate.CylinderEvaluation:
     require_output(out / "cylinder.json")
     with write_lock(out):
         result = read_result(asked.folder, frames=asked.frames, footage=asked.footage)
-        with progress_bar("cylinder", 2 * len(result.numbers)) as advance:
-            found = run(result, asked.truth, lambda _number: advance(1))
+        found = run(result, asked.truth)
         write_json(out / "cylinder.json", found)
         mean, std = (np.array([getattr(e, name) for e in found.frames]) for name in ("mean_deg", "std_deg"))
         title = f"{found.mean_deg:.2f} ± {found.std_deg:.2f} degrees over all frames"
@@ -403,18 +396,15 @@ def evaluate_integration(asked: IntegrationArguments) -> IntegrationEvaluation:
         objects = [] if asked.data is None else evaluate.objects_in(asked.data)
         cases = evaluate.surface_cases(asked.size)
         rows, curves, last = [], {}, None
-        with progress_bar("integration", len(cases) + len(objects)) as advance:
-            for case in cases:
-                error = case.measure()
-                rows.append(error)
-                if case.is_torn:
-                    curves[error.integrator] = error.distances_percent[error.mask]
-                    last = error
-                advance(1)
-            real = []
-            for folder in objects:
-                real += evaluate.real_object_errors(folder)
-                advance(1)
+        for case in progress.counted(cases, "surfaces", len(cases)):
+            error = case.measure()
+            rows.append(error)
+            if case.is_torn:
+                curves[error.integrator] = error.distances_percent[error.mask]
+                last = error
+        real = []
+        for folder in progress.counted(objects, "objects", len(objects)):
+            real += evaluate.real_object_errors(folder)
         plain = [{"surface": r.surface, "integrator": r.integrator, **r.numbers} for r in rows]
         write_json(out / "integration.json", {"surfaces": plain, "objects": real})
         figures.write_cumulative_errors(

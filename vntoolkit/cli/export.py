@@ -2,11 +2,10 @@
 
 import shlex
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from typing import ClassVar
 
-from vntoolkit.cli.output import ProgressBars, print_next, print_next_program, say
+from vntoolkit.cli.output import print_next, print_next_program, say
 from vntoolkit.cli.verb import verb
 from vntoolkit.options.base import File, OptionalFile, named
 from vntoolkit.options.export import CleanOptions, ExportFormat, ExportFormatName, ExportOptions
@@ -27,12 +26,6 @@ class ExportArguments(FrameOptions, MovedFootageOptions, ExportOptions, CleanOpt
     folder: File = field(kw_only=False)
     """The folder that `vntoolkit reconstruct` wrote."""
     to: ExportFormat | ExportFormatName  # type: ignore[assignment]
-    """The format. usd: one animated file (set the frame rate of Blender's scene to the capture's, since
-    Blender keeps its own). glb: one animated file of a registered surface, else one a frame. ply, obj, stl: a
-    mesh a frame. points: a point cloud a frame as .ply, of all pixels with a depth. npz: arrays. png: 16-bit
-    normal maps. diligent: a folder a frame, laid out like the benchmark's. heights, local-shape, curvature,
-    profile, roughness, sur, x3p: for inspection, see the guide. rrd: one recording of all, for the Rerun
-    viewer. mcap: depth and contact as messages of ROS 2, at the times of the recording."""
     clean: bool = False
     """Remove small pieces of the meshes and close small holes (pymeshlab). --most-faces and the like imply
     it."""
@@ -61,9 +54,7 @@ def export(asked: ExportArguments) -> Path:
         footage=asked.footage,
         background=asked.background,
     )
-    with ProgressBars() as bars:
-        begin = partial(bars.begin, "export")
-        summary = run(job, overwrite=asked.overwrite, on_start=begin, on_frame=bars.step)
+    summary = run(job, overwrite=asked.overwrite)
     kept = f", {summary.kept} of them from before" if summary.kept else ""
     which = {True: " of the tracked mesh", False: " of each frame's own mesh", None: ""}[summary.is_tracked]
     say(f"{summary.out}: {summary.frames} frames{which}{kept}")

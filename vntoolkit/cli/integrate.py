@@ -1,8 +1,6 @@
 """`vntoolkit integrate`: depth and meshes from anyone's normal maps."""
 
-from functools import partial
-
-from vntoolkit.cli.output import ProgressBars, print_next, say
+from vntoolkit.cli.output import print_next, say
 from vntoolkit.cli.verb import verb
 from vntoolkit.options.normal_maps import IntegrateArguments
 from vntoolkit.pipeline.integrate_normals import integrate_normals
@@ -15,9 +13,7 @@ def integrate(asked: IntegrateArguments) -> OpenedResult:
 
     The folder is one as `vntoolkit reconstruct` writes: view, report and export read it.
     """
-    with ProgressBars() as bars:
-        begin = partial(bars.begin, "integrate")
-        folder = integrate_normals(asked, on_start=begin, on_frame=bars.step)
+    folder = integrate_normals(asked)
     result = read_result(folder)
     count = len(result.frames)
     say(f"{folder}: depth of {count} normal map{'' if count == 1 else 's'}")

@@ -9,7 +9,7 @@ import logging
 import os
 import shlex
 import shutil
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextvars import ContextVar
 from datetime import timedelta
 from pathlib import Path
@@ -20,6 +20,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColum
 from rich.table import Table
 from rich.text import Text
 
+from vntoolkit import progress
 from vntoolkit.errors import BadInput, CannotWrite, VntError, escaped
 from vntoolkit.io.atomic import cannot_write, write_text
 from vntoolkit.io.files import parse_json, read_text
@@ -28,7 +29,6 @@ _WIDE = 200
 _SUBJECT = ("measured", "mesh", "reference")  # keys of an evaluation that say of what it is
 _LOGGER = logging.getLogger(__name__)
 JSON, PAGE, PICTURE, MESH = (".json",), (".html",), (".png", ".svg"), (".ply", ".obj")
-Advance = Callable[[int], None]
 _PRINTS = ContextVar("prints", default=True)
 
 
@@ -41,12 +41,14 @@ def print_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]
         table.add_column(column, justify="left" if i < names else "right", no_wrap=True)
     for row in rows:
         table.add_row(*map(escaped, row))
+    progress.end()
     plain_console().print(table)
 
 
 def say(line: object, *, flush: bool = False) -> None:
     """Print one line; names in it may hold what a terminal would obey."""
     if _PRINTS.get():
+        progress.end()
         print(escaped(str(line)), flush=flush)
 
 
@@ -154,49 +156,28 @@ class _PaceColumn(ProgressColumn):
         return Text(f"{done / elapsed:.1f}/s {left}", style="progress.data.speed")
 
 
-@contextlib.contextmanager
-def progress_bar(title: str, total: int | None, done: int = 0) -> Iterator[Advance]:
-    """Show a progress bar on standard error if it is a terminal; yield the function that advances it.
-
-    total: None for a step of unknown length.
-    """
-    counted = () if total is None else (MofNCompleteColumn(), _PaceColumn())
-    columns = (TextColumn("{task.description}", markup=False), BarColumn(), *counted)
-    console = Console(stderr=True)
-    hidden = not (console.is_terminal or console.is_jupyter)
-    with Progress(*columns, console=console, disable=hidden, transient=True) as progress:
-        task = progress.add_task(escaped(title), total=total, completed=done, before=done)
-        yield lambda n: progress.advance(task, n)
-
-
-class ProgressBars:
-    """Shows one progress bar after another; a context manager."""
+class ProgressBars(progress.Listener):
+    """Shows one progress bar after another on standard error, if that is a terminal."""
 
     def __init__(self) -> None:
-        self._stack = contextlib.ExitStack()
-        self._advance: Advance = lambda n: None
-        self._title, self._done = "", 0
+        self._stack, self._bar = contextlib.ExitStack(), Progress(disable=True)
 
-    def __enter__(self) -> "ProgressBars":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._stack.close()
-
-    def begin(self, title: str, total: int | None, done: int = 0) -> None:
+    def begin(self, title: str, total: int | None, done: int) -> None:
         """Replace the bar by a new one."""
+        self.end()
+        counted = () if total is None else (MofNCompleteColumn(), _PaceColumn())
+        columns = (TextColumn("{task.description}", markup=False), BarColumn(), *counted)
+        console = Console(stderr=True)
+        hidden = not (console.is_terminal or console.is_jupyter)
+        self._bar = Progress(*columns, console=console, disable=hidden, transient=True)
+        self._stack.enter_context(self._bar)
+        self._bar.add_task(escaped(title), total=total, completed=done, before=done)
+
+    def step(self, count: int) -> None:
+        """Advance the bar."""
+        for task in self._bar.task_ids:
+            self._bar.advance(task, count)
+
+    def end(self) -> None:
+        """Remove the bar."""
         self._stack.close()
-        self._advance = self._stack.enter_context(progress_bar(title, total, done))
-        self._title, self._done = title, done
-
-    def step(self, _finished: object = None) -> None:
-        """Advance the bar by one."""
-        self._done += 1
-        self._advance(1)
-
-    def reach(self, title: str, done: int, total: int) -> None:
-        """Set the bar to `done` of `total`; a new title begins a new bar."""
-        if title != self._title:
-            self.begin(title, total, done)
-        self._advance(done - self._done)
-        self._done = done

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from vntoolkit.cli.output import print_next, progress_bar, say, unused
+from vntoolkit.cli.output import print_next, say, unused
 from vntoolkit.cli.verb import verb
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.io.results.folder import write_lock
@@ -18,8 +18,8 @@ def photometric_stereo(asked: PhotometricStereoArguments) -> NormalMap:
 
     The folder is laid out as DiLiGenT's results, and `vntoolkit integrate` reads it.
     """
-    with write_lock(Path(asked.out)), progress_bar("photographs", 0) as advance:
-        found = run(asked, advance)
+    with write_lock(Path(asked.out)):
+        found = run(asked)
     say(f"{asked.out}: {int(found.mask.sum())} normals")
     if found.error_deg is not None:
         say(f"expected error: {np.median(found.error_deg[found.mask]):.1f} degrees, the median")

@@ -1,12 +1,11 @@
 """`vntoolkit reconstruct`: compute normals, depth and meshes from footage and a rig."""
 
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar
 
 from vntoolkit.cli.given import rig_with_corners
-from vntoolkit.cli.output import ProgressBars, print_next, say
+from vntoolkit.cli.output import print_next, say
 from vntoolkit.cli.verb import verb
 from vntoolkit.diagnosis.finding import require_known_checks
 from vntoolkit.errors import BadCapture
@@ -115,17 +114,9 @@ def reconstruct(asked: ReconstructArguments) -> OpenedResult:
         calibrated=calibrated.transfer,
         allow=asked.allow if asked.transfer is None else (*asked.allow, "tag"),
     )
-    with ProgressBars() as bars:
-        bars.begin("prepare", None)
-        summary = run(
-            job,
-            frames=asked.range,
-            jobs=asked.jobs,
-            scheduler=asked.scheduler,
-            overwrite=asked.overwrite,
-            on_start=partial(bars.begin, "reconstruct"),
-            on_frame=bars.step,
-        )
+    summary = run(
+        job, frames=asked.range, jobs=asked.jobs, scheduler=asked.scheduler, overwrite=asked.overwrite
+    )
     _report(summary)
     if summary.loss:
         raise BadCapture(f"{source}: {summary.loss}")

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from vntoolkit.cli.output import ProgressBars, print_next, say
+from vntoolkit.cli.output import print_next, say
 from vntoolkit.cli.reconstruct import RunArguments
 from vntoolkit.cli.verb import verb
 from vntoolkit.errors import BadInput, VntError
@@ -45,18 +45,14 @@ def _outcomes(asked: SessionArguments) -> list[CaptureOutcome]:
         name: asked.job(source, lit_by, out / name, _mask_of(name, asked.mask))
         for name, source in names_from_sources(tuple(map(str, asked.sources))).items()
     }
-    with ProgressBars() as bars:
-        bars.begin("prepare", None)
-        return run_session(
-            captures,
-            tracking=TrackingOptions(method=asked.method) if asked.track else None,
-            frames=asked.range,
-            workers=asked.jobs,
-            scheduler=asked.scheduler,
-            overwrite=asked.overwrite,
-            on_capture=bars.begin,
-            on_frame=bars.step,
-        )
+    return run_session(
+        captures,
+        tracking=TrackingOptions(method=asked.method) if asked.track else None,
+        frames=asked.range,
+        workers=asked.jobs,
+        scheduler=asked.scheduler,
+        overwrite=asked.overwrite,
+    )
 
 
 def _mask_of(name: str, mask: Path | None) -> Path | None:

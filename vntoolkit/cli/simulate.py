@@ -2,11 +2,10 @@
 
 import re
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from typing import ClassVar
 
-from vntoolkit.cli.output import ProgressBars, print_next, say, unused
+from vntoolkit.cli.output import print_next, say, unused
 from vntoolkit.cli.verb import verb
 from vntoolkit.errors import BadInput
 from vntoolkit.io.footage.frame_range import FrameRange
@@ -55,11 +54,7 @@ def simulate(asked: SimulateArguments) -> Path:
         frames=FrameRange.from_text(asked.frames or "::"),
         motion=asked.motion,
     )
-    with ProgressBars() as bars:
-        summary = run(
-            job, jobs=asked.jobs, overwrite=asked.overwrite, on_start=partial(bars.begin, "simulate"),
-            on_frame=bars.step,
-        )  # fmt: skip
+    summary = run(job, jobs=asked.jobs, overwrite=asked.overwrite)
     out, scene = Path(asked.out), asked.scene
     say(f"{out}: {summary.frames} frames of {scene} in capture.mkv, {summary.rendered} rendered now")
     video, own_rig = job.folder.video, job.folder.truth / "rig.json"

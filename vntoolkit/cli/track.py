@@ -1,11 +1,10 @@
 """`vntoolkit track`: register all frames of a reconstruction to one mesh."""
 
-from functools import partial
 from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING
 
-from vntoolkit.cli.output import ProgressBars, print_next, say
+from vntoolkit.cli.output import print_next, say
 from vntoolkit.cli.verb import verb
 from vntoolkit.geometry.mesh import MeshSequence
 from vntoolkit.io.results.sequences import read_mesh_sequence
@@ -26,9 +25,7 @@ def track(asked: TrackArguments) -> MeshSequence:
     Its texture is gathered from the footage, which is read again for that. The same command again continues
     an interrupted run.
     """
-    with ProgressBars() as bars:
-        begin = partial(bars.begin, "track")
-        summary = run(asked, on_start=begin, on_frame=bars.step)
+    summary = run(asked)
     if asked.object:
         from vntoolkit.pipeline.object_poses import write_object_poses
 

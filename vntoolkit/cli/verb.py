@@ -20,10 +20,11 @@ from typing import Annotated, Any, Literal, ParamSpec, TypeVar, Union, get_args,
 from cyclopts import CoercionError, Group, Parameter, Token, convert
 
 import vntoolkit
-from vntoolkit.cli.output import silent
+from vntoolkit.cli.output import ProgressBars, silent
 from vntoolkit.cli.removed import require_no_removed
 from vntoolkit.errors import BadInput
 from vntoolkit.options.base import hints_of, members_of
+from vntoolkit.progress import heard_by
 from vntoolkit.threads import thread_policy
 
 P = ParamSpec("P")
@@ -126,13 +127,13 @@ def asked_from(arguments: Any, given: tuple[Any, ...], named: dict[str, Any]) ->
 
 @contextlib.contextmanager
 def _prepared(asked: Any) -> Iterator[None]:
-    """Let what the verb reads keep to its limits, and libraries to our threads."""
+    """Let what the verb reads keep to its limits, and libraries to our threads; show how far it is."""
     from vntoolkit.io.files import limited_to
     from vntoolkit.options.footage import ReadingLimits
 
     _require_new_outputs(asked)
     limits = {name: getattr(asked, name) for name in hints_of(ReadingLimits) if hasattr(asked, name)}
-    with limited_to(ReadingLimits(**limits)), thread_policy():
+    with limited_to(ReadingLimits(**limits)), thread_policy(), heard_by(ProgressBars()):
         yield
 
 

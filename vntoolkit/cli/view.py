@@ -4,7 +4,7 @@ import contextlib
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from vntoolkit.cli.output import PAGE, print_next, progress_bar, require_output, say
+from vntoolkit.cli.output import PAGE, print_next, require_output, say
 from vntoolkit.cli.verb import verb
 from vntoolkit.options.base import File, OptionalFile, named
 from vntoolkit.options.footage import ReadingLimits
@@ -32,10 +32,8 @@ def _opened(asked: ViewArguments) -> OpenedResult:
 def _written(asked: ViewArguments, result: OpenedResult, html: Path) -> int:
     """Write the page; return how many frames it has."""
     scene = asked.part(ScenePageOptions)
-    count = min(len(result.numbers), scene.most_frames)
-    with progress_bar("scene", count) as advance:
-        write_scene(html, result, scene, on_frame=lambda: advance(1))
-    return count
+    write_scene(html, result, scene)
+    return min(len(result.numbers), scene.most_frames)
 
 
 def _shown(asked: ViewArguments) -> None:

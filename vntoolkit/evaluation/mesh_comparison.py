@@ -1,6 +1,5 @@
 """Distances between meshes or point clouds, their alignment, and the quality of a mesh."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TypeAlias, TypeVar
 
@@ -8,6 +7,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
+from vntoolkit import progress
 from vntoolkit.arrays import FloatArray, Points
 from vntoolkit.errors import BadMesh, SolverFailed
 from vntoolkit.geometry.mesh import Mesh, vertex_normals
@@ -90,12 +90,7 @@ def mesh_distance(mesh: Compared, reference: Compared) -> MeshDistance:
     return MeshDistance.from_vertices(to_reference, from_reference, reference.diagonal)
 
 
-def vertex_distances(
-    mesh: Compared,
-    reference: Compared,
-    by: MeasuredBy = MeasuredBy.EMBREE,
-    on_progress: Callable[[int], None] = lambda vertices: None,
-) -> FloatArray:
+def vertex_distances(mesh: Compared, reference: Compared, by: MeasuredBy = MeasuredBy.EMBREE) -> FloatArray:
     """Return (n,) float64, from every vertex to the nearest point of the reference's faces, or of its points.
 
     The largest both ways is the Hausdorff distance. Raises `BadMesh` where one is empty or the reference has
@@ -108,21 +103,20 @@ def vertex_distances(
         raise BadMesh("reference mesh: all its vertices lie in one point")
     points = np.asarray(positions(mesh), dtype=np.float64)
     if by is MeasuredBy.PYMESHLAB:
-        distances = _distances_by_pymeshlab(mesh, reference)
-        on_progress(len(points))
-        return distances
+        return _distances_by_pymeshlab(mesh, reference)
     # float32, which Embree takes, has the most digits about the reference's centre
     centre = np.asarray(positions(reference), dtype=np.float64).mean(axis=0)
     if isinstance(reference, Mesh):
         scene = RayScene((reference.vertices - centre, reference.faces))
     else:
         tree = cKDTree(reference.points)
+    progress.begin("vertices", len(points))
     distances = np.empty(len(points))
     for start in range(0, len(points), _POINTS_A_STEP):
         some = points[start : start + _POINTS_A_STEP]
         found = scene.distances(some - centre) if isinstance(reference, Mesh) else tree.query(some)[0]
         distances[start : start + len(some)] = found
-        on_progress(len(some))
+        progress.step(len(some))
     return distances
 
 

@@ -217,25 +217,25 @@ def _undistort(xy_distorted: FloatArray, distortion: FloatArray) -> FloatArray:
 class ViewedFrom:
     """Where the scene was filmed from, in camera axes.
 
-    position: (3,). rotation: (3, 3) scene_from_camera. focal_px: in x and y. size_px: width and height of the
-    pictures. offset: (3,) by which the whole scene was moved on its way into the file.
+    camera: with perspective. position: (3,). rotation: (3, 3) scene_from_camera. offset: (3,) by which the
+    whole scene was moved on its way into the file.
     """
 
+    camera: Camera
     position: Vector3
     rotation: FloatArray
-    focal_px: tuple[float, float]
-    size_px: tuple[int, int]
     offset: Vector3 = field(default_factory=lambda: np.zeros(3))
 
     @property
     def vertical_angle_rad(self) -> float:
         """Angle of view from the lower to the upper edge."""
-        return float(2 * np.arctan(self.size_px[1] / 2 / self.focal_px[1]))
+        return float(2 * np.arctan(self.camera.height / 2 / self.camera.matrix[1, 1]))
 
     @property
     def aspect_ratio(self) -> float:
         """Width of the view over its height."""
-        return float(self.size_px[0] / self.focal_px[0] * self.focal_px[1] / self.size_px[1])
+        wide, matrix = self.camera.width, self.camera.matrix
+        return float(wide / matrix[0, 0] * matrix[1, 1] / self.camera.height)
 
     def file_axes(self) -> FloatArray:
         """Return (3, 3): the camera's axes in a file with y up, where a camera looks along −z with y up."""

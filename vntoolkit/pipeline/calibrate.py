@@ -1,12 +1,13 @@
 """Calibration on a ball, a board or known lights: from footage to rig."""
 
 import logging
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
+from vntoolkit import progress
 from vntoolkit.arrays import Mask
 from vntoolkit.calibration.board import BoardCalibration, fit_response_to_board
 from vntoolkit.calibration.board_detection import BoardDetector, BoardSighting
@@ -44,7 +45,6 @@ from vntoolkit.photometry.transfer import Transfer
 
 logger = logging.getLogger(__name__)
 _SEED = 0  # calibrating the same footage twice gives the same rig
-Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -163,10 +163,7 @@ def _alone(capture: Capture, switched: SwitchedLamps) -> list[LinearFrame]:
 
 
 def calibrate_board(
-    job: CalibrationJob,
-    layout: BoardLayout,
-    options: BoardOptions,
-    on_frame: Progress = lambda done, total: None,
+    job: CalibrationJob, layout: BoardLayout, options: BoardOptions
 ) -> tuple[Rig, BoardCalibration]:
     """Fit a rig to footage of a board that is tilted in all directions, in constant memory."""
     capture = job.open()
@@ -175,11 +172,11 @@ def calibrate_board(
     numbers = job.frames.numbers(info.frame_count)
     detector = BoardDetector(layout)
     sightings: list[BoardSighting] = []
-    for done, frame in enumerate(capture.frames(numbers.start, numbers.stop, numbers.step), start=1):
+    frames = capture.frames(numbers.start, numbers.stop, numbers.step)
+    for frame in progress.counted(frames, "find the board", len(numbers)):
         sighting = detector.sight(frame)
         if sighting is not None:
             sightings.append(sighting)
-        on_frame(done, len(numbers))
     result = fit_response_to_board(
         sightings,
         layout,

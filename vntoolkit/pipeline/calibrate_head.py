@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
+from vntoolkit import progress
 from vntoolkit.arrays import ByteArray, IntArray
 from vntoolkit.calibration.head.hull import (
     DistanceGrid,
@@ -44,7 +45,6 @@ _INITIAL_FOCAL = 3.0  # of the picture's longer side, where nobody knows: a port
 _LEAST_FRAMES, _MOST_FRAMES = 12, 400
 _HULL_VIEWS = 32
 _NORMAL_FRAMES = 24  # over the turn: each part of the face is seen in ten of them
-Progress = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -69,19 +69,14 @@ class HeadCalibration:
     stage_seconds: Mapping[str, float]
 
 
-def calibrate_head(
-    job: CalibrationJob,
-    options: HeadOptions | None = None,
-    on_progress: Progress = lambda stage, done, total: None,
-) -> tuple[Rig, HeadCalibration]:
+def calibrate_head(job: CalibrationJob, options: HeadOptions | None = None) -> tuple[Rig, HeadCalibration]:
     """Fit a rig to footage of a head that turns left and right with a fixed expression (brostow2011, IV).
 
-    on_progress is told the stage, what is done of it and how much there is. Raises `BadCalibration` that
-    names the stage and what to film instead.
+    Raises `BadCalibration` that names the stage and what to film instead.
     """
     options = options or HeadOptions()
     rng = np.random.default_rng(_SEED)
-    clock = _Clock(on_progress)
+    clock = _Clock()
     capture = job.open()
     job.judge(capture)
     given = job.camera_for(capture.info)
@@ -90,8 +85,8 @@ def calibrate_head(
         given or Camera.pinhole(width=size[0], height=size[1], focal_px=_INITIAL_FOCAL * max(size))
     )
     with clock.stage("tracks"):
-        footage, tracks = _follow(job, undistorter, options, on_progress)
-    with clock.whole_stage("poses"):
+        footage, tracks = _follow(job, undistorter, options)
+    with clock.stage("poses"):
         motion = solve_head_motion(
             tracks,
             undistorter.camera,
@@ -100,7 +95,7 @@ def calibrate_head(
             refine_focal=given is None,
             features=options.features,
         )
-    with clock.whole_stage("hull"):
+    with clock.stage("hull"):
         carved = _carve(footage, motion, options.steps)
     shape = carved.mesh
     if options.head_shape is not HeadShape.HULL:
@@ -110,20 +105,12 @@ def calibrate_head(
         chosen = spread_over_turn(carved.views, options.steps.light_frames)
         samples = sample_head(shape, carved.motion.camera, turn.frames(chosen), options.steps, rng)
         light = fit_light(samples, HeadRays(shape), options.steps, rng, options.light_model)
-        on_progress("light", 1, 1)
     mesh, refined = shape, None
     if options.head_shape is HeadShape.REFINED:
         chosen = spread_over_turn(carved.views, _NORMAL_FRAMES)
         with clock.stage("refinement"):
-            refined = refine_head(
-                shape,
-                carved.motion.camera,
-                partial(turn.frames, chosen),
-                light,
-                options.steps,
-                rng,
-                partial(on_progress, "refinement"),
-            )
+            frames = partial(turn.frames, chosen)
+            refined = refine_head(shape, carved.motion.camera, frames, light, options.steps, rng)
         mesh, samples, light = refined.mesh, refined.samples, refined.light
     camera = carved.motion.camera if given is None else given
     rig = rig_of(job, capture, camera, light.response, light.quality, "the skin of the head")
@@ -168,17 +155,15 @@ def _with_stereo(
     """Fuse stereo into the hull twice: what the first pass finds corrects the poses for the second."""
     fuse = partial(fit_shape, contrasts=footage.contrasts)
     with clock.stage("stereo"):
-        progress = partial(clock.on_progress, "stereo")
-        rough = fuse(carved.views, hull=carved.grid, steps=options.steps, on_progress=progress)
-    with clock.whole_stage("poses again"):
+        rough = fuse(carved.views, hull=carved.grid, steps=options.steps)
+    with clock.stage("poses again"):
         again = find_again(carved.views, footage.details, rough, carved.motion.points_in_head)
         motion, moved = adjust_head_motion(carved.motion, *again, refine_focal=refine_focal)
         carved = _carve(footage, motion, options.steps)
         rough = rough.with_vertices(moved.apply(rough.vertices))
     with clock.stage("stereo again"):
-        progress = partial(clock.on_progress, "stereo again")
         closely = options.steps.closely()
-        shape = fuse(carved.views, hull=carved.grid, steps=closely, on_progress=progress, about=rough)
+        shape = fuse(carved.views, hull=carved.grid, steps=closely, about=rough)
     return carved, shape
 
 
@@ -206,7 +191,7 @@ class _Turn:
 
 
 def _follow(
-    job: CalibrationJob, undistorter: Undistorter, options: HeadOptions, on_progress: Progress
+    job: CalibrationJob, undistorter: Undistorter, options: HeadOptions
 ) -> tuple[HeadFootage, Tracks]:
     capture = job.open(gaps=Gaps.REFUSE)  # points are followed from frame to frame
     numbers = job.frames.numbers(capture.info.frame_count)
@@ -218,36 +203,23 @@ def _follow(
             f"tracks: expected {_LEAST_FRAMES} to {_MOST_FRAMES} frames of the turn, got {len(numbers)}; "
             f"{hint}"
         )
-
-    def frames() -> Iterator[LinearFrame]:
-        read = capture.frames(numbers.start, numbers.stop, numbers.step)
-        for done, frame in enumerate(read, start=1):
-            yield undistorter.frame(frame)
-            on_progress("tracks", done, len(numbers))
-
-    return follow_frames(frames(), undistorter.camera, options)
+    read = capture.frames(numbers.start, numbers.stop, numbers.step)
+    frames = map(undistorter.frame, progress.counted(read, "tracks", len(numbers)))
+    return follow_frames(frames, undistorter.camera, options)
 
 
 class _Clock:
-    """Seconds that each stage takes, and what is told of its progress."""
+    """Seconds that each stage takes."""
 
-    def __init__(self, on_progress: Progress) -> None:
-        self.on_progress = on_progress
+    def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
+        progress.begin(name)
         start = time.perf_counter()
         yield
         self.seconds[name] = time.perf_counter() - start
-
-    @contextmanager
-    def whole_stage(self, name: str) -> Iterator[None]:
-        """Time a stage that tells nothing of its progress but that it begins and ends."""
-        self.on_progress(name, 0, 1)
-        with self.stage(name):
-            yield
-        self.on_progress(name, 1, 1)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

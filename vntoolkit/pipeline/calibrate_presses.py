@@ -1,12 +1,13 @@
 """Calibration of a tactile sensor from ball presses, and rectified copies of its footage."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
+from vntoolkit import progress
 from vntoolkit.arrays import FloatArray, LinearImage, Mask, Vector3
 from vntoolkit.diagnosis import press_checks
 from vntoolkit.diagnosis.finding import Finding, judge
@@ -41,7 +42,6 @@ from vntoolkit.tactile.session import untouched_terms
 _SEED = 0
 _MOST_COMPARED = 25  # presses whose median is looked at
 _STRONG_PERCENTILE = 98.0  # of a change: the rim of a dent is a few percent of the picture
-Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,15 +112,13 @@ class _ReadPress:
     aspect: float | None
 
 
-def calibrate_presses(
-    job: PressJob, options: PressOptions, on_frame: Progress = lambda done, total: None
-) -> PressCalibration:
+def calibrate_presses(job: PressJob, options: PressOptions) -> PressCalibration:
     """Fit a rig to presses; images without a label, or without a dent where it is sought, are passed over."""
     rng = np.random.default_rng(_SEED)
     reader = PressReader(job)
     capture, background = reader.capture, reader.background
     judge(findings_from_calibration_footage(capture), job.allow)
-    read = list(_read(reader, options, rng, on_frame))
+    read = list(_read(reader, options, rng))
     samples = [press.samples for press in read if press.samples is not None]
     if not samples and job.labels is not None:
         raise BadCalibration(
@@ -236,12 +234,7 @@ def _findings_from_transfer(
 
 
 def rectify_capture(
-    capture: Capture,
-    rectification: Rectification,
-    folder: Path,
-    on_frame: Progress = lambda done, total: None,
-    *,
-    overwrite: bool = False,
+    capture: Capture, rectification: Rectification, folder: Path, *, overwrite: bool = False
 ) -> int:
     """Write every frame of a capture, rectified, as a 16-bit PNG with the capture's transfer curve.
 
@@ -258,11 +251,10 @@ def rectify_capture(
             )
         for path in earlier:
             path.unlink()
-        for number, frame in enumerate(capture.frames()):
+        for number, frame in enumerate(progress.counted(capture.frames(), "rectify", len(capture))):
             rectified = rectify_frame(frame, rectification)
             encoded = encoded_from_linear(rectified.rgb.astype(np.float64), capture.transfer)
             write_png(folder / f"{number:06d}.png", np.round(encoded * 65535).astype(np.uint16))
-            on_frame(number + 1, len(capture))
     return len(capture)
 
 
@@ -340,11 +332,9 @@ class PressReader:
         return self.has_folder and self.labelled(name) is None
 
 
-def _read(
-    reader: PressReader, options: PressOptions, rng: np.random.Generator, on_frame: Progress
-) -> Iterator[_ReadPress]:
+def _read(reader: PressReader, options: PressOptions, rng: np.random.Generator) -> Iterator[_ReadPress]:
     job, capture = reader.job, reader.capture
-    for done, frame in enumerate(capture.frames(), start=1):
+    for frame in progress.counted(capture.frames(), "read presses", len(capture.present)):
         name = reader.name(frame.number)
         samples = labelled = found = small = aspect = None
         if not reader.passes_over(name):
@@ -360,7 +350,6 @@ def _read(
         yield _ReadPress(
             name=name, samples=samples, labelled=labelled, found=found, change=small, aspect=aspect
         )
-        on_frame(done, len(capture.present))
 
 
 def read_press_label(path: Path | str) -> FloatArray:

@@ -3,8 +3,6 @@
 What a user does with lamps and a camera of their own, in the same order and by the same functions.
 """
 
-from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 
 from vntoolkit.geometry.board_layout import BoardLayout
@@ -37,33 +35,22 @@ def run_demo(
     *,
     jobs: int = 1,
     overwrite: bool = False,
-    on_start: Callable[[str, int, int], None] = lambda stage, total, done: None,
-    on_frame: Callable[[object], None] = lambda finished: None,
 ) -> ReconstructionSummary:
-    """Simulate, calibrate, simulate, reconstruct; go on where an earlier run stopped.
-
-    on_start is told the stage's name, how many frames it has and how many are done; on_frame each further
-    one.
-    """
+    """Simulate, calibrate, simulate, reconstruct; go on where an earlier run stopped."""
     options = options or DemoOptions()
-    films = {
-        "film the board": _film(_BOARD, root / BOARD, f"::{_BOARD_STEP}", options, sample="sweater"),
-        "film the sweater": _film("sweater", root / GARMENT, f":{options.frames}", options),
-    }
+    board = _film(_BOARD, root / BOARD, f"::{_BOARD_STEP}", options, sample="sweater")
+    garment = _film("sweater", root / GARMENT, f":{options.frames}", options)
     with write_lock(root):
-        for stage, job in films.items():
-            start = partial(on_start, stage)
-            simulate(job, jobs=jobs, overwrite=overwrite, on_start=start, on_frame=on_frame)
-            if job.scene == _BOARD:
-                _calibrate(job.folder.video, root / RIG, on_start, on_frame)
+        simulate(board, jobs=jobs, overwrite=overwrite)
+        _calibrate(board.folder.video, root / RIG)
+        simulate(garment, jobs=jobs, overwrite=overwrite)
         reconstruction = Request(
-            source=str(job.folder.video),
+            source=str(garment.folder.video),
             rig=read_rig(root / RIG),
             options=ReconstructOptions(distance_m=CAMERA_DISTANCE_M),
             folder=ReconstructionFolder(root=root / RECONSTRUCTION),
         )
-        start = partial(on_start, "reconstruct")
-        return reconstruct(reconstruction, jobs=jobs, overwrite=overwrite, on_start=start, on_frame=on_frame)
+        return reconstruct(reconstruction, jobs=jobs, overwrite=overwrite)
 
 
 def _film(
@@ -79,9 +66,7 @@ def _film(
     )
 
 
-def _calibrate(
-    video: Path, out: Path, on_start: Callable[[str, int, int], None], on_frame: Callable[[object], None]
-) -> None:
+def _calibrate(video: Path, out: Path) -> None:
     facts = build_scene(_BOARD, SceneOptions(field_width_m=_FIELD_WIDTH_M)).facts  # a user measures the print
     layout = BoardLayout(
         columns=int(facts["columns"]),
@@ -89,12 +74,6 @@ def _calibrate(
         square_mm=facts["square_mm"],
         hole_squares=int(facts["hole_squares"]),
     )
-
-    def seen(done: int, total: int) -> None:
-        if done == 1:
-            on_start("calibrate", total, 0)
-        on_frame(done)
-
     job = CalibrationJob(source=str(video))
-    rig, _ = calibrate_board(job, layout, BoardOptions(degree=_DEGREE), seen)
+    rig, _ = calibrate_board(job, layout, BoardOptions(degree=_DEGREE))
     write_rig(out, rig)

@@ -1,7 +1,7 @@
 """A captured garment on an animated skeleton: fit, weights, skinning, output, one frame at a time."""
 
 import logging
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from vntoolkit import progress
 from vntoolkit.arrays import Float32Array, FloatArray, Points, Vector3
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera, ViewedFrom
@@ -144,10 +145,9 @@ class DressedFigure:
             turn = Rotation.from_rotvec([0.0, np.arctan2(ahead[0], ahead[2]), 0.0]).as_matrix()
         placed = self.rest_from_cloth.rigid
         return ViewedFrom(
+            camera=camera,
             position=turn @ (placed.translation - attached[:3, 3]) + first[:3, 3] + self.offset,
             rotation=turn @ placed.rotation,
-            focal_px=(float(camera.matrix[0, 0]), float(camera.matrix[1, 1])),
-            size_px=(camera.width, camera.height),
             offset=self.offset,
         )
 
@@ -308,10 +308,7 @@ class CapturedLook:
 
 
 def write_dressed_figure(
-    dressed: DressedFigure,
-    out: Path | str,
-    on_frame: Callable[[], None] = lambda: None,
-    look: CapturedLook | None = None,
+    dressed: DressedFigure, out: Path | str, look: CapturedLook | None = None
 ) -> DressSummary:
     """Write `.usdc`/`.usd` (with skeleton), `.glb`, or one `.ply`/`.obj` a frame (`cloth_%04d.ply`).
 
@@ -329,10 +326,9 @@ def write_dressed_figure(
         texture = texture.beside(out)
 
     def frames() -> Iterator[Points]:
-        for index, vertices in enumerate(dressed.frames()):
+        for index, vertices in enumerate(progress.counted(dressed.frames(), "dress", len(dressed))):
             meter.add(vertices, pose_of_frame(dressed.motion, index))
             yield vertices + offset
-            on_frame()
 
     if dressed.carrier is Carrier.SKIN and is_file:
         clip = dressed.skin().moved(offset)

@@ -1,13 +1,14 @@
 """Normals, cylinders, tracks and depth against references, frame by frame in constant memory."""
 
 import logging
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
+from vntoolkit import progress
 from vntoolkit.arrays import Faces, FloatArray, Mask, Points, Vector3
 from vntoolkit.checks import require_same_size, require_shape, require_some
 from vntoolkit.diagnosis.axes import warn_of_flipped_axes
@@ -87,7 +88,6 @@ def pairs_of(measured: Path, reference: Path) -> list[NormalPair]:
 def compare_normal_files(
     pairs: list[NormalPair],
     conventions: tuple[NormalConvention | None, NormalConvention | None] = (None, None),
-    on_frame: Callable[[str], None] = lambda name: None,
 ) -> NormalsComparison:
     """Compare pairs one at a time. conventions: of the measured and the reference files, None for as stated.
 
@@ -95,12 +95,11 @@ def compare_normal_files(
     """
     histogram, frames = angular_error.AngleHistogram(), {}
     worst, worst_mean = None, -1.0
-    for name, angles, both in _angle_maps(pairs, conventions):
+    for name, angles, both in progress.counted(_angle_maps(pairs, conventions), "normals", len(pairs)):
         frames[name] = angular_error.summarise_angles(angles[both])
         histogram.add(angles[both])
         if frames[name].mean_deg > worst_mean:
             worst, worst_mean = (name, angles, both), frames[name].mean_deg
-        on_frame(name)
     if worst is None:
         raise BadInput("evaluate normals: no pair of maps was given")
     overall = next(iter(frames.values())) if len(frames) == 1 else histogram.summary()
@@ -222,28 +221,22 @@ class CylinderTruth:
 # Figure 7: normals of a sequence against one fitted cylinder, and the fit against the truth.
 
 
-def evaluate_cylinder(
-    result: OpenedResult,
-    simulated: Path | None = None,
-    on_frame: Callable[[int], None] = lambda number: None,
-) -> CylinderEvaluation:
+def evaluate_cylinder(result: OpenedResult, simulated: Path | None = None) -> CylinderEvaluation:
     """Fit one cylinder to all frames of a reconstruction and measure their normals against it.
 
     Measured are the pixels that hold a normal, within the silhouette, on the cylinder's side.
 
-    simulated: folder that `simulate` wrote, for the truth. on_frame: told every frame twice, when it is
-    fitted and when it is measured. Raises `BadInput`, `SolverFailed` with the frame's place.
+    simulated: folder that `simulate` wrote, for the truth. Raises `BadInput`, `SolverFailed` with the frame's
+    place.
     """
     truth = None if simulated is None else CylinderTruth(folder=SimulationFolder(root=simulated))
     if truth is not None:
         truth.radius_m  # noqa: B018 - another scene is refused before minutes of fitting
-    fits = fit_cylinder(
-        (seen for _, seen in _observations(result, on_frame)),
-        result.camera,
-        np.random.default_rng(_SEED),
-    )
+    progress.begin("cylinder", 2 * len(result.numbers))  # each is fitted, then measured
+    seen_of_all = (seen for _, seen in _observations(result))
+    fits = fit_cylinder(seen_of_all, result.camera, np.random.default_rng(_SEED))
     frames, total = [], np.zeros(3)
-    for cylinder, (number, seen) in zip(fits, _observations(result, on_frame), strict=True):
+    for cylinder, (number, seen) in zip(fits, _observations(result), strict=True):
         normal_map, silhouette = seen
         subject = replace(normal_map, mask=normal_map.mask & (silhouette > 0.5))
         measured = side_angles(cylinder, subject, result.camera, f"frame {number}")
@@ -268,9 +261,7 @@ def evaluate_cylinder(
     )
 
 
-def _observations(
-    result: OpenedResult, on_frame: Callable[[int], None]
-) -> Iterator[tuple[int, tuple[NormalMap, FloatArray]]]:
+def _observations(result: OpenedResult) -> Iterator[tuple[int, tuple[NormalMap, FloatArray]]]:
     """Number, normals and silhouette of every frame; without footage the normals' mask is the silhouette."""
     from_image = True
     for number in result.numbers:
@@ -285,7 +276,7 @@ def _observations(
             else:
                 silhouette = silhouette_from_image(linear.rgb)
         yield number, (normal_map, silhouette)
-        on_frame(number)
+        progress.step()
 
 
 def _deviation(

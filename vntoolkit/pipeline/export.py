@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import logging
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from vntoolkit import progress
 from vntoolkit.arrays import Array, FloatArray, Vector3
 from vntoolkit.errors import BadInput, VntError
 from vntoolkit.geometry.camera import Camera, ViewedFrom
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
     from vntoolkit.pipeline.tracked_folder import Tracks
 
 _MATERIAL = "surface.mtl"  # of all frames in a folder of OBJ files
-Advance = Callable[[], None]
 _LOGGER = logging.getLogger(__name__)
 _METRES_PER_PIXEL = 0.001  # shown, not measured: a 600-pixel subject opens 0.6 m tall in Blender
 _HEADROOM = 1.25  # of a light's picture over the brightest that the rig's material gets
@@ -63,13 +63,7 @@ class ExportSummary:
     is_tracked: bool | None = None
 
 
-def export(
-    job: ExportJob,
-    *,
-    overwrite: bool = False,
-    on_start: Callable[[int, int], None] = lambda total, done: None,
-    on_frame: Advance = lambda: None,
-) -> ExportSummary:
+def export(job: ExportJob, *, overwrite: bool = False) -> ExportSummary:
     """Export a reconstruction in another format.
 
     A single file appears when it is whole. In a folder every file does; the same command again goes on where
@@ -81,10 +75,10 @@ def export(
         if job.options.to in (ExportFormat.RRD, ExportFormat.MCAP):
             from vntoolkit.pipeline.export_recordings import export_recording
 
-            return export_recording(job, result, track, on_start, on_frame)
+            return export_recording(job, result, track)
         if job.options.to is ExportFormat.USD or (job.options.to is ExportFormat.GLB and track is not None):
-            return _export_animation(job, result, track, on_start, on_frame)
-        return _export_folder(job, result, track, overwrite, on_start, on_frame)
+            return _export_animation(job, result, track)
+        return _export_folder(job, result, track, overwrite)
 
 
 def _track_of(result: OpenedResult, options: ExportOptions) -> Tracks | None:
@@ -97,13 +91,7 @@ def _track_of(result: OpenedResult, options: ExportOptions) -> Tracks | None:
     return result.track
 
 
-def _export_animation(
-    job: ExportJob,
-    result: OpenedResult,
-    track: Tracks | None,
-    on_start: Callable[[int, int], None],
-    on_frame: Advance,
-) -> ExportSummary:
+def _export_animation(job: ExportJob, result: OpenedResult, track: Tracks | None) -> ExportSummary:
     options, filmed = job.options, result.manifest.input
     suffix = ".glb" if options.to is ExportFormat.GLB else ".usdc"
     out = job.out or result.folder.root / "export" / f"surface{suffix}"
@@ -113,23 +101,18 @@ def _export_animation(
     numbers = numbers_with(result, "mesh", track)
     rate, times_s = filmed.rate_of(numbers), filmed.times_of(numbers)
     atomic.require_writable_folder(out.parent)  # and remove what a killed run left there
-    on_start(len(numbers), 0)
-
-    def passing(thing: Any) -> Any:
-        on_frame()
-        return thing
-
+    counted = progress.counted(numbers, "export", len(numbers))
     clock: dict[str, Any] = {"frame_rate_hz": rate, "times_s": times_s}
     lengths_of_usd: dict[str, Any] = {"metres_per_unit": lengths.metres_per_unit, "up": options.up}
     if track is None:
         from vntoolkit.io.maps_and_meshes.usd import write_usd_meshes
 
-        own = (passing(own_mesh(result, n, options, lengths.factor)) for n in numbers)
+        own = (own_mesh(result, n, options, lengths.factor) for n in counted)
         count = write_usd_meshes(out, own, **clock, **lengths_of_usd)
         return ExportSummary(out=out, frames=count, kept=0, is_tracked=False)
-    rows = [track.numbers.index(n) for n in numbers]
     offset = offset_of(track, options, lengths.factor)
-    moving = (passing(track.sequence.vertices[n] * lengths.factor + offset) for n in rows)
+    rows = map(track.numbers.index, counted)
+    moving = (track.sequence.vertices[row] * lengths.factor + offset for row in rows)
     texture = texture_of_tracks(result.folder.root / "track")
     template = with_captured_colours(track, texture)
     camera = viewed_from(result.camera, offset)
@@ -165,23 +148,12 @@ def viewed_from(camera: Camera, offset: Vector3) -> ViewedFrom | None:
     """Return the camera of the capture in a scene that was moved by the offset; None without perspective."""
     if not camera.is_perspective:
         return None
-    focal = (float(camera.matrix[0, 0]), float(camera.matrix[1, 1]))
-    return ViewedFrom(
-        position=np.asarray(offset, dtype=np.float64),
-        rotation=np.eye(3),
-        focal_px=focal,
-        size_px=(camera.width, camera.height),
-        offset=np.asarray(offset, dtype=np.float64),
-    )
+    offset = np.asarray(offset, dtype=np.float64)
+    return ViewedFrom(camera=camera, position=offset, rotation=np.eye(3), offset=offset)
 
 
 def _export_folder(
-    job: ExportJob,
-    result: OpenedResult,
-    track: Tracks | None,
-    overwrite: bool,
-    on_start: Callable[[int, int], None],
-    on_frame: Advance,
+    job: ExportJob, result: OpenedResult, track: Tracks | None, overwrite: bool
 ) -> ExportSummary:
     out = job.out or result.folder.root / "export" / job.options.to.value
     writer = frame_export(result, track, job.options)
@@ -198,11 +170,11 @@ def _export_folder(
     with write_lock(out):
         begin_run(out, EXPORT, record, overwrite=overwrite)
         kept = {number for number in numbers if writer.is_current(out, number)}
-        on_start(len(numbers), len(kept))
+        progress.begin("export", len(numbers), len(kept))
         for number in numbers:
             if number not in kept:
                 writer.write(out, number)
-                on_frame()
+                progress.step()
         writer.finish(out)
     return ExportSummary(out=out, frames=len(numbers), kept=len(kept), is_tracked=writer.is_tracked)
 

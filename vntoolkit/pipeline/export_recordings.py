@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vntoolkit import progress
 from vntoolkit.arrays import Float32Array
 from vntoolkit.errors import BadInput, VntError
 from vntoolkit.geometry.mesh import Mesh, vertex_normals
@@ -29,13 +30,7 @@ _NS = 1_000_000_000
 _MM = 1000.0  # per metre
 
 
-def export_recording(
-    job: ExportJob,
-    result: OpenedResult,
-    track: Tracks | None,
-    on_start: Callable[[int, int], None],
-    on_frame: Callable[[], None],
-) -> ExportSummary:
+def export_recording(job: ExportJob, result: OpenedResult, track: Tracks | None) -> ExportSummary:
     """Write all opened frames into one file; of footage that is gone, without its pictures."""
     options = job.options
     suffix = f".{options.to.value}"
@@ -43,8 +38,8 @@ def export_recording(
     if out.suffix.lower() != suffix:
         raise BadInput(f"{out}: expected the name of a file that ends in {suffix}")
     atomic.require_writable_folder(out.parent)
-    on_start(len(result.numbers), 0)
-    frames = _Frames(job, result, track).recorded(on_frame)
+    recorded = _Frames(job, result, track).recorded()
+    frames = progress.counted(recorded, "export", len(result.numbers))
     if options.to is ExportFormat.RRD:
         from vntoolkit.io.recordings.rerun_file import write_rrd
 
@@ -69,7 +64,7 @@ class _Frames:
             self._stamps = ()
         self._motions = self._motions_of_object()
 
-    def recorded(self, on_frame: Callable[[], None]) -> Iterator[RecordedFrame]:
+    def recorded(self) -> Iterator[RecordedFrame]:
         """Yield the opened frames in order."""
         result, is_rrd = self._result, self._options.to is ExportFormat.RRD
         times = result.manifest.input.times_of(result.numbers)
@@ -92,7 +87,6 @@ class _Frames:
                 mesh=self._mesh(number) if is_rrd else None,
                 object_from_first=self._motions.get(number),
             )
-            on_frame()
 
     def _moved_px(self, number: int) -> Float32Array | None:
         if self._track is None:

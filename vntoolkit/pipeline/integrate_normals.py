@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from vntoolkit import progress
 from vntoolkit.arrays import FloatArray, Mask
 from vntoolkit.checks import require_some
 from vntoolkit.diagnosis.axes import likeliest_convention
@@ -135,12 +136,7 @@ def _video_source(capture: Capture, path: Path) -> NormalSource:
     )
 
 
-def integrate_normals(
-    asked: IntegrateArguments,
-    *,
-    on_start: Callable[[int, int], None] = lambda total, done: None,
-    on_frame: Callable[[FrameEntry], None] = lambda entry: None,
-) -> Path:
+def integrate_normals(asked: IntegrateArguments) -> Path:
     """Integrate the chosen maps one at a time, and write the folder that every later verb reads.
 
     An interrupted run goes on. The first map is integrated again: later depths are tied to it.
@@ -165,7 +161,7 @@ def integrate_normals(
         kept = (
             {n for n in numbers if n in log.done() and folder.has(n, *manifest.outputs)} if goes_on else set()
         )
-        on_start(len(numbers), len(kept))
+        progress.begin("integrate", len(numbers), len(kept))
         for number, read in source.readers((numbers[0], *(n for n in numbers[1:] if n not in kept))):
             started = time.perf_counter()
             result = integrator.frame(number, first if number == numbers[0] else read(mask))
@@ -178,7 +174,7 @@ def integrate_normals(
                 valid_share=float(result.normal_map.mask.mean()),
             )
             log.append(entry)
-            on_frame(entry)
+            progress.step()
         log.close()
         write_manifest(root, manifest.model_copy(update={"finished": manifests.now_utc()}))
     return root

@@ -1,11 +1,11 @@
 """Photographs under one white lamp each to normals, in a folder as DiLiGenT's and `integrate` reads."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from vntoolkit import progress
 from vntoolkit.arrays import Array, Float32Array, FloatArray, Mask, Points
 from vntoolkit.diagnosis.axes import warn_of_flipped_axes
 from vntoolkit.errors import BadInput
@@ -25,9 +25,7 @@ _FEWEST_VALID = 0.05  # of the subject: fewer have a normal only where lamps and
 _NINE_OF_TEN = 2.146  # standard deviations of a direction, in two dimensions
 
 
-def photometric_stereo(
-    asked: PhotometricStereoArguments, on_image: Callable[[int], None] = lambda count: None
-) -> NormalMap:
+def photometric_stereo(asked: PhotometricStereoArguments) -> NormalMap:
     """Compute normals with their expected errors, and write normals, mask and albedo."""
     folder = Path(asked.folder)
     if asked.lights is None and not (folder / "light_directions.txt").exists():
@@ -44,7 +42,7 @@ def photometric_stereo(
     mask_file = asked.mask or (beside if beside.exists() else None)
     mask = None if mask_file is None else read_mask(mask_file)
     curve = None if asked.transfer is None else Transfer.from_text(asked.transfer)
-    stack = _stack_of(folder, lights, curve, on_image)
+    stack = _stack_of(folder, lights, curve)
     result = solve_photometric_stereo(stack, lights.directions, mask)
     normal_map = replace(result.normal_map, error_deg=expected_error_deg(stack, lights.directions, result))
     _require_valid(normal_map, mask, lights.files[0])
@@ -80,9 +78,7 @@ def expected_error_deg(images: FloatArray, lights: Points, result: StereoResult)
     return error
 
 
-def _stack_of(
-    folder: Path, lights: KnownLights, curve: Transfer | None, on_image: Callable[[int], None]
-) -> Array:
+def _stack_of(folder: Path, lights: KnownLights, curve: Transfer | None) -> Array:
     """Return grey images (k, h, w), linear, each divided by its lamp's intensity."""
     files = lights.images or find_capture_files(folder).files
     if len(files) != len(lights.directions):
@@ -91,7 +87,7 @@ def _stack_of(
             "lamps; expected one photograph a lamp, in the order of their names"
         )
     images = []
-    for number, path in enumerate(files):
+    for number, path in enumerate(progress.counted(files, "photographs", len(files))):
         samples = read_image(path)
         full = 1.0 if samples.dtype == np.float32 else np.iinfo(samples.dtype).max
         values: FloatArray = samples / np.float32(full)
@@ -104,7 +100,6 @@ def _stack_of(
             raise BadInput(
                 f"{path}: is of another size than {files[0]}; expected one camera that stood still"
             )
-        on_image(1)
     return np.stack(images)
 
 

@@ -3,7 +3,7 @@
 import logging
 import os
 import time
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vntoolkit import progress
 from vntoolkit.diagnosis.finding import judge
 from vntoolkit.errors import BadCapture, BadInput
 from vntoolkit.io.atomic import remove_leftovers, require_apart, write_text
@@ -39,8 +40,6 @@ if TYPE_CHECKING:
     from vntoolkit.pipeline.frame_blocks import Block
 
 logger = logging.getLogger(__name__)
-Started = Callable[[int, int], None]
-Finished = Callable[[FrameEntry], None]
 BLOCK_FRAMES = 16
 _WORST = 90.0  # percentile over the frames: the median would hide a third that is wrong
 
@@ -74,27 +73,25 @@ def reconstruct(
     jobs: int = 1,
     scheduler: str | None = None,
     overwrite: bool = False,
-    on_start: Started = lambda total, done: None,
-    on_frame: Finished = lambda record: None,
 ) -> ReconstructionSummary:
     """Reconstruct the chosen frames of a capture into `request.folder`; go on where an earlier run stopped.
 
     What holds for the whole capture is prepared once; then every frame goes from video to linear RGB,
     normals, depth and a mesh (`FrameProcessor.process`), in `jobs` processes of this machine, or of a Dask
     `scheduler`: its address, or "local" for `jobs` workers that are started here. The files are the same to
-    the byte. on_start is called once with the number of frames and how many are on disk already, on_frame
-    after each further one. Raises the kinds of `VntError` that bad input deserves, before anything is written
-    where that can be known, and `CannotWrite` while another run is at work in the folder.
+    the byte. Raises the kinds of `VntError` that bad input deserves, before anything is written where that
+    can be known, and `CannotWrite` while another run is at work in the folder.
     """
     frames, started = frames or FrameRange(), time.perf_counter()
+    progress.begin("prepare")
     footage = _checked_footage(request, frames, jobs, scheduler)
     with write_lock(request.folder.root), recorded_warnings() as warnings:
         run = _begun(request, footage, frames, overwrite)
-        on_start(len(run.numbers), len(run.resumed))
+        progress.begin(f"frames of {request.folder.root.name}", len(run.numbers), len(run.resumed))
         for entry in run.missing:
             run.log.append(entry)
-            on_frame(entry)
-        made = _made_frames(run, jobs, scheduler, on_frame)
+            progress.step()
+        made = _made_frames(run, jobs, scheduler)
         seconds = time.perf_counter() - started
         return _ended(run, footage, frames, made, warnings, seconds)
 
@@ -211,7 +208,7 @@ def _missing_frames(footage: Footage, numbers: Sequence[int]) -> list[FrameEntry
     return [FrameEntry(number=number, failure=why[number]) for number in sorted(set(why) & set(numbers))]
 
 
-def _made_frames(run: _Run, jobs: int, scheduler: str | None, on_frame: Finished) -> list[FrameEntry]:
+def _made_frames(run: _Run, jobs: int, scheduler: str | None) -> list[FrameEntry]:
     """Make the frames that are not on disk; log each once its files are in place."""
     made: list[FrameEntry] = []
     entries = _frames_in_processes(run, jobs, scheduler)
@@ -219,7 +216,7 @@ def _made_frames(run: _Run, jobs: int, scheduler: str | None, on_frame: Finished
         for entry in entries:
             run.log.append(entry)
             made.append(entry)
-            on_frame(entry)
+            progress.step()
     except KeyboardInterrupt:
         left = len(run.numbers) - len(run.resumed) - len(made)
         raise KeyboardInterrupt(

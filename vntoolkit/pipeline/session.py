@@ -14,7 +14,6 @@ from typing import Any
 from vntoolkit.errors import BadInput, VntError
 from vntoolkit.io.files import limited_to, require_name
 from vntoolkit.io.footage.frame_range import FrameRange
-from vntoolkit.io.results.frame_log import FrameEntry
 from vntoolkit.native import keep_freed_memory, limit_threads
 from vntoolkit.options.footage import ReadingLimits
 from vntoolkit.options.tracking import TrackArguments, TrackingOptions
@@ -69,30 +68,19 @@ def run_session(
     workers: int = 1,
     scheduler: str | None = None,
     overwrite: bool = False,
-    on_capture: Callable[[str, int, int], None] = lambda name, total, done: None,
-    on_frame: Callable[[FrameEntry], None] = lambda record: None,
 ) -> list[CaptureOutcome]:
     """Reconstruct captures, by name, and track each into its folder's `track`; go on where a run stopped.
 
     tracking: None for no tracks. workers: processes of this machine. scheduler: as for `reconstruct`; then
-    sequences are tracked by its workers, one each. on_capture is called with a capture's name, its frames
-    and how many of these are on disk. Raises what `reconstruct` raises of a scheduler; what a capture's own
-    failure is, its outcome tells.
+    sequences are tracked by its workers, one each. Raises what `reconstruct` raises of a scheduler; what a
+    capture's own failure is, its outcome tells.
     """
     outcomes: list[CaptureOutcome] = []
     waiting: list[tuple[ReconstructionSummary, str, Result]] = []
     with _tracker(scheduler, workers) as (address, submit):
         for name, job in captures.items():
             try:
-                done = reconstruct(
-                    job,
-                    frames=frames,
-                    jobs=workers,
-                    scheduler=address,
-                    overwrite=overwrite,
-                    on_start=lambda total, done, name=name: on_capture(name, total, done),  # type: ignore[misc]
-                    on_frame=on_frame,
-                )
+                done = reconstruct(job, frames=frames, jobs=workers, scheduler=address, overwrite=overwrite)
             except VntError as error:
                 outcomes.append(CaptureOutcome(name=name, reconstruction=None, failure=str(error)))
                 continue

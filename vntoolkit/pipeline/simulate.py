@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from vntoolkit import progress
 from vntoolkit.arrays import Array, ByteArray, FloatArray, VisibilityLabels
 from vntoolkit.errors import BadInput, BadMesh, BadMotion, BadRig
 from vntoolkit.geometry.maps import NormalMap
@@ -79,19 +80,11 @@ class SimulationSummary:
     rendered: int
 
 
-def simulate(
-    job: SimulationJob,
-    *,
-    jobs: int = 1,
-    overwrite: bool = False,
-    on_start: Callable[[int, int], None] = lambda total, done: None,
-    on_frame: Callable[[int], None] = lambda place: None,
-) -> SimulationSummary:
+def simulate(job: SimulationJob, *, jobs: int = 1, overwrite: bool = False) -> SimulationSummary:
     """Film a scene into a folder: capture.mkv, truth/, contact_sheet.png, simulation.json.
 
-    A run that was interrupted goes on where it stopped. jobs: worker processes. on_start is told how many
-    frames there are and how many are there already; on_frame every finished one. Raises `BadInput` where
-    the folder holds another capture, `CannotWrite` while another run is at work there.
+    A run that was interrupted goes on where it stopped. jobs: worker processes. Raises `BadInput`
+    where the folder holds another capture, `CannotWrite` while another run is at work there.
     """
     if jobs < 1:
         raise BadInput(f"jobs: expected at least 1 process, got {jobs}")
@@ -105,11 +98,11 @@ def simulate(
             logger.warning("%s: true maps are gone, so all frames are rendered again", folder.truth)
         write_fixed_truth(job)
         missing = [place for place in range(count) if not folder.staged(place).exists()]
-        on_start(count, count - len(missing))
+        progress.begin(f"simulate {job.scene}", count, count - len(missing))
         work = partial(_begin, job if jobs == 1 else replace(job))  # a copy: built scenes cannot be sent
         moments = write_moving_mesh(job, resume, missing)
-        for place in map_in_processes(work, moments, min(jobs, max(1, len(missing)))):
-            on_frame(place)
+        for _ in map_in_processes(work, moments, min(jobs, max(1, len(missing)))):
+            progress.step()
         _write_contact_sheet(job)
         filmed = (read_image(folder.staged(place)) for place in range(count))
         write_video(folder.video, filmed, job.built.frame_rate_hz / job.numbers.step)

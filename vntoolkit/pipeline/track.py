@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from vntoolkit import progress
 from vntoolkit.arrays import (
     Array,
     FloatArray,
@@ -71,12 +72,7 @@ class TrackSummary:
     visible: tuple[float, ...]
 
 
-def track(
-    asked: TrackArguments,
-    *,
-    on_start: Callable[[int, int], None] = lambda total, done: None,
-    on_frame: Callable[[], None] = lambda: None,
-) -> TrackSummary:
+def track(asked: TrackArguments) -> TrackSummary:
     """Track the template through all frames into `asked.target`; go on where an earlier run stopped.
 
     The template is tracked backwards to the first frame, then forwards to the last. A frame without files
@@ -108,7 +104,7 @@ def track(
         require_same_request(target, TRACKS, record, overwrite=asked.overwrite)
         tracker = _tracker_of(asked, seams, source, template, paint_of, membrane)
         begin_run(target, TRACKS, record, overwrite=asked.overwrite)
-        resumed = _run(tracker, source, template, target, on_start, on_frame, paint_of)
+        resumed = _run(tracker, source, template, target, paint_of)
         if membrane is not None:
             from vntoolkit.pipeline.gel_motion import write_gel_motion
 
@@ -252,8 +248,6 @@ def _run(
     source: OpenedResult,
     template: int,
     target: Path,
-    on_start: Callable[[int, int], None],
-    on_frame: Callable[[], None],
     paint_of: PaintReader | None,
 ) -> int:
     numbers, filmed = source.frames_to_track, source.manifest.input
@@ -269,15 +263,15 @@ def _run(
             with MeshSequenceWriter(target / "backwards", mesh, frame_rate_hz=rate, resume=True) as backwards:
                 _truncate_to_memory(backwards, tracker, 0)
                 resumed = backwards.frame_count
-                on_start(len(numbers), resumed)
-                _follow(tracker, source, (template, *back), backwards, on_frame, paint_of, lead=0)
+                progress.begin("track", len(numbers), resumed)
+                _follow(tracker, source, (template, *back), backwards, paint_of, lead=0)
             _copy_reversed(target / "backwards", writer, tracker)
             writer.append(first.vertices_in_camera, first.uncertainty_px)
-            on_frame()
+            progress.step()
         else:
-            on_start(len(numbers), resumed)
+            progress.begin("track", len(numbers), resumed)
         tracker.resume(first, first, source.normals(template))
-        _follow(tracker, source, (template, *ahead), writer, on_frame, paint_of, lead=at + 1)
+        _follow(tracker, source, (template, *ahead), writer, paint_of, lead=at + 1)
     remove_backwards(target)
     return resumed
 
@@ -287,7 +281,6 @@ def _follow(
     source: OpenedResult,
     numbers: tuple[int, ...],
     writer: MeshSequenceWriter,
-    on_frame: Callable[[], None],
     paint_of: PaintReader | None,
     lead: int,
 ) -> None:
@@ -312,7 +305,7 @@ def _follow(
                 kept = writer.frame_count, tracker.running
                 if writer.frame_count % _MEMORY_EVERY == 0:
                     write_running_template(writer.folder, *kept)
-            on_frame()
+            progress.step()
     finally:
         if kept is not None:
             write_running_template(writer.folder, *kept)

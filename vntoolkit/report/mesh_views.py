@@ -1,12 +1,13 @@
 """Pictures of meshes without a graphics card: OpenCV's rasteriser, one light at the camera's side."""
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
 
+from vntoolkit import progress
 from vntoolkit.arrays import ByteArray, Colours, FloatArray, IntArray, Points, Vector3
 from vntoolkit.checks import require_finite
 from vntoolkit.errors import BadInput, BadMesh
@@ -224,11 +225,7 @@ def _floor(dressed: DressedFigure, frame: int, y: float) -> Mesh:
     )
 
 
-def contact_sheet(
-    dressed: DressedFigure,
-    options: PreviewOptions | None = None,
-    on_picture: Callable[[], None] = lambda: None,
-) -> ByteArray:
+def contact_sheet(dressed: DressedFigure, options: PreviewOptions | None = None) -> ByteArray:
     """Return one picture (h, w, 3) uint8: time runs to the right, one direction a row."""
     options = options or PreviewOptions()
     stage = _Stage(dressed)
@@ -239,12 +236,8 @@ def contact_sheet(
         for meshes in (stage.meshes(frame),)
         for azimuth in options.azimuths_deg
     )
-    pictures = []
-    for index, picture in enumerate(_drawn(jobs), start=1):
-        pictures.append(picture)
-        if index % len(options.azimuths_deg) == 0:
-            on_picture()
     rows = len(options.azimuths_deg)
+    pictures = list(progress.counted(_drawn(jobs), "contact sheet", rows * len(moments)))
     return np.concatenate([np.concatenate(pictures[row::rows], axis=1) for row in range(rows)], axis=0)
 
 
@@ -253,11 +246,9 @@ def _drawn(jobs: Iterable[tuple[Sequence[Mesh], View]]) -> Iterator[ByteArray]:
     return stepped(jobs, lambda job: picture_of(*job), threads=_DRAWN_AT_ONCE)
 
 
-def _write_sheet(
-    path: Path, dressed: DressedFigure, options: PreviewOptions, on_picture: Callable[[], None]
-) -> None:
+def _write_sheet(path: Path, dressed: DressedFigure, options: PreviewOptions) -> None:
     """Write the contact sheet with its times above and its directions beside."""
-    sheet = contact_sheet(dressed, options, on_picture)
+    sheet = contact_sheet(dressed, options)
     width, height = options.picture_width, options.picture_height
     seconds = _moments(dressed, options) / dressed.clock.frame_rate_hz
     rows = [
@@ -288,23 +279,12 @@ def turntable(dressed: DressedFigure, options: PreviewOptions | None = None) -> 
 
 
 def write_preview(
-    folder: Path,
-    stem: str,
-    dressed: DressedFigure,
-    options: PreviewOptions | None = None,
-    *,
-    on_start: Callable[[int, int], None] = lambda total, done: None,
-    on_picture: Callable[[], None] = lambda: None,
+    folder: Path, stem: str, dressed: DressedFigure, options: PreviewOptions | None = None
 ) -> None:
     """Write `STEM_sheet.png` and `STEM_turntable.mkv` into a folder."""
     options = options or PreviewOptions()
-    on_start(options.frames + options.turn_frames, 0)
-    _write_sheet(folder / f"{stem}_sheet.png", dressed, options, on_picture)
+    _write_sheet(folder / f"{stem}_sheet.png", dressed, options)
     seconds = max(len(dressed) / dressed.clock.frame_rate_hz, 1e-3)
     rate = float(np.clip(round(options.turn_frames / seconds), 1, 60))
-
-    def passing(picture: ByteArray) -> ByteArray:
-        on_picture()
-        return picture
-
-    write_video(folder / f"{stem}_turntable.mkv", map(passing, turntable(dressed, options)), rate)
+    pictures = progress.counted(turntable(dressed, options), "turntable", options.turn_frames)
+    write_video(folder / f"{stem}_turntable.mkv", pictures, rate)

@@ -3,7 +3,7 @@
 import base64
 import threading
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from vntoolkit import progress
 from vntoolkit.arrays import FloatArray, IntArray
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.maps import DepthMap
@@ -38,21 +39,15 @@ _BOXED_FRAMES = 8  # that the served page is framed by: reading all would keep o
 _GROUND = 20
 
 
-def write_scene(
-    path: Path,
-    result: OpenedResult,
-    options: ScenePageOptions | None = None,
-    on_frame: Callable[[], None] = lambda: None,
-) -> None:
+def write_scene(path: Path, result: OpenedResult, options: ScenePageOptions | None = None) -> None:
     """Write the page of the opened frames, atomically. Raises `BadInput` where they have no depth."""
     options = options or ScenePageOptions()
     packed = _ResultScene(result, sampled(result.numbers, options.most_frames), options)
     frames = []
-    for index, number in enumerate(packed.numbers):
+    for index, number in enumerate(progress.counted(packed.numbers, "scene", len(packed.numbers))):
         if not packed.has_surface(number):
             raise BadInput(f"{result.folder.root}: frame {number} has no depth; reconstruct with --to depth")
         frames.append(_folded(packed.frame(index)))
-        on_frame()
     setup = packed.setup(packed.numbers) | {"frames": frames}
     if "registered" in setup["surfaces"]:
         setup["topology"] = _folded(packed.topology())

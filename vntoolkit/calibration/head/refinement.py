@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
+from vntoolkit import progress
 from vntoolkit.arrays import Array, FloatArray
 from vntoolkit.calibration.head import skin as skins
 from vntoolkit.calibration.head.light import HeadLight, light_of_response
@@ -71,7 +72,6 @@ def refine_head(
     light: HeadLight,
     steps: HeadSteps,
     rng: np.random.Generator,
-    on_progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> RefinedHead:
     """Alternate normals from colours, positions from normals and stereo, and M; then refine a finer mesh.
 
@@ -85,6 +85,7 @@ def refine_head(
     crossover = min(_CROSSOVER_PX * pixel, _LARGEST_CROSSOVER * stereo.diagonal)
     lit, surface, seen = skins.SkinLight(response=light.response), stereo, None
     changes: list[float] = []
+    progress.begin("refinement", _ROUNDS + 1)
     for number in range(_ROUNDS):
         if number < _PASSES or seen is None:
             seen = skin_colours(surface, camera, frames())
@@ -95,13 +96,12 @@ def refine_head(
         solver = PositionSolver(stereo.vertices, stereo.faces, skin, crossover)
         surface = stereo.with_vertices(solver.positions())
         changes.append(_relative_change(before, lit.response))
-        on_progress(number + 1, _ROUNDS + 1)
+        progress.step()
         if changes[-1] < _CONVERGED:
             break
     levels = measured_noise(surface, stereo.vertices, skin, pixel)
     spread = solver.spread(surface, levels.stereo, levels.shared, rng)
     fine, colours, skin = _refined_finely(shape, surface, camera, frames, lit, levels, crossover, pixel)
-    on_progress(_ROUNDS + 1, _ROUNDS + 1)
     samples = patch_samples(fine, camera, colours, skin, PATCH_PX * pixel)
     return RefinedHead(
         mesh=replace(fine, colours=_skin_colour(skin, lit.response), error_deg=_expected_error_deg(skin)),

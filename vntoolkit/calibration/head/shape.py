@@ -1,11 +1,12 @@
 """The head's shape from silhouettes and stereo."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 from scipy.spatial import cKDTree
 
+from vntoolkit import progress
 from vntoolkit.arrays import ByteArray
 from vntoolkit.calibration.head.hull import DistanceGrid, SilhouetteView, mesh_of_grid, spread_over_turn
 from vntoolkit.calibration.head.stereo import OrientedPoints, stereo_points
@@ -23,20 +24,17 @@ def fit_shape(
     contrasts: Sequence[ByteArray],
     hull: DistanceGrid,
     steps: HeadSteps,
-    on_progress: Callable[[int, int], None] = lambda done, total: None,
     about: Mesh | None = None,
 ) -> Mesh:
     """Search depths of evenly spread views about the hull, or a mesh, and fuse them.
 
-    contrasts: (h, w) local contrast of every view, 8 bits. on_progress is told depth maps done and in all.
-    Raises `BadCalibration` where hardly two views agree on a depth.
+    contrasts: (h, w) local contrast of every view, 8 bits. Raises
+    `BadCalibration` where hardly two views agree on a depth.
     """
     references = spread_over_turn(views, steps.references)
     mesh = mesh_of_grid(hull) if about is None else about
-    maps = []
-    for done, k in enumerate(references.tolist(), start=1):
-        maps.append(stereo_points(views, contrasts, mesh, k, steps))
-        on_progress(done, len(references))
+    counted = progress.counted(references.tolist(), "depth maps", len(references))
+    maps = [stereo_points(views, contrasts, mesh, k, steps) for k in counted]
     return fuse_points(maps, mesh, hull, steps)
 
 

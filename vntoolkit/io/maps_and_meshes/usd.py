@@ -369,7 +369,7 @@ def add_camera(
     width = 10 * _APERTURE_MM * 0.001 / metres_per_unit  # USD counts apertures in tenths of its unit
     prim.CreateHorizontalApertureAttr(width)
     prim.CreateVerticalApertureAttr(width / camera.aspect_ratio)
-    prim.CreateFocalLengthAttr(width * camera.focal_px[0] / camera.size_px[0])
+    prim.CreateFocalLengthAttr(width * camera.camera.matrix[0, 0] / camera.camera.width)
     prim.CreateClippingRangeAttr(Gf.Vec2f(0.01 / metres_per_unit, 1000 / metres_per_unit))
 
 
