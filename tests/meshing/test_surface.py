@@ -145,6 +145,22 @@ def test_the_rim_of_a_disc_is_round(behind: bool) -> None:
     assert np.sqrt(np.mean(off**2)) < 0.17
     assert abs(off.mean()) < 0.1
     assert np.all(face_normals(mesh.vertices, mesh.faces)[:, 2] < 0)
+    assert (
+        np.abs(mesh.vertices[:, 2, None] - [5.0, 90.0]).min(axis=1).max() < 1e-6
+    )  # neither bends to the other
+
+
+def test_the_rim_of_a_ball_is_smooth_from_the_side() -> None:
+    """Depth falls by √(2 r) = 7.4 pixels within the last one, where each row's outermost centre lies."""
+    v, u = np.mgrid[:70, :80]
+    squared = 27.3**2 - (u - 40.2) ** 2 - (v - 34.7) ** 2
+    depth = DepthMap(depth=90.0 - np.sqrt(np.maximum(squared, 0.0)), mask=squared > 0)
+    mesh = mesh_from_depth(depth, Camera.orthographic(width=80, height=70))
+    rim = mesh.vertices[rim_of(mesh.faces)]
+    assert np.std(rim[:, 2]) < 0.7
+    assert np.std(depth.depth[depth.mask & (squared < 54)]) > 1.5  # of the pixels as they are
+    centre = np.array([40.2 - 39.5, 34.7 - 34.5, 90.0])
+    assert np.abs(np.linalg.norm(rim - centre, axis=1) - 27.3).max() < 0.8  # a plane bends less than the ball
 
 
 def test_rims_stay_on_a_tilted_plane_and_at_the_border_of_the_picture() -> None:

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numba import prange
 from scipy import ndimage
+from scipy.linalg import solveh_banded
 
 from vntoolkit.arrays import Float32Array, FloatArray, Mask
 from vntoolkit.checks import require_same_size
@@ -91,8 +92,7 @@ def _coarse_error(normal_map: NormalMap, mask: Mask, block: int, rays: RayField)
     ray = (rays.affine.astype(np.float64), rays.depth_scales_ray)
     growth = math.log(max(mask.shape)) / (2 * math.pi) / rays.pixels_per_unit**2
     random = (np.radians(_PER_NORMAL) * _OF_NOISE / _NINE_OF_TEN) ** 2 * growth
-    depth, variance = np.empty((*shape, _TURNS)), np.empty(shape)
-    _depth_of_turns(sums, inside, places, block, ray, random, depth, variance)
+    depth, variance = _depth_of_turns(sums, inside, places, block, ray, random)
     if inside.all():
         depth -= depth.mean(axis=(0, 1))
     else:
@@ -124,112 +124,62 @@ def _range(depth: Any, mask: Mask, step: int) -> float:
     return float(most.max() - least.min())
 
 
-@njit(cache=True)
 def _depth_of_turns(
-    sums: Any, inside: Mask, places: int, block: int, ray: Any, random: float, depth: Any, variance: Any
-) -> None:  # fmt: skip
-    """Fill the depth (h, w, 9) of the nine turns, and noise's variance; blocks go along the shorter side."""
-    _, height, width = sums.shape
-    right, down = np.zeros((height, width, _TURNS)), np.zeros((height, width, _TURNS))
-    trust = np.zeros((height, width))
-    normal = np.zeros(3)
-    for v in range(height):
-        for u in range(width):
-            count = max(sums[0, v, u], 1e-6)
-            for i in range(3):
-                normal[i] = sums[1 + i, v, u] / count
-            normal /= max(np.sqrt(normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2), 1e-6)
-            sigma = np.radians(_PER_NORMAL) * sums[4, v, u] / count
-            _turned_slopes(normal, sigma, ray, block, v, u, right[v, u], down[v, u])
-            if inside[v, u]:
-                trust[v, u] = max(sums[6, v, u] / count, _LEAST_WEIGHT) * sums[0, v, u] / places
-            # a slope grows by 1 / cos² along the inclination and by 1 / cos across
-            variance[v, u] = random * sums[5, v, u] / count / max(-normal[2], _LEAST_FACING) ** 3
-    if height > width:
-        turned = np.zeros((width, height, _TURNS))
-        first, second = np.ascontiguousarray(down.transpose(1, 0, 2)), right.transpose(1, 0, 2)
-        _integrate(first, np.ascontiguousarray(second), np.ascontiguousarray(trust.T), turned)
-        depth[:] = turned.transpose(1, 0, 2)
-    else:
-        _integrate(right, down, trust, depth)
+    sums: FloatArray, inside: Mask, places: int, block: int, ray: Any, random: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return the depth (h, w, 9) of the nine turns, and noise's variance."""
+    count = np.maximum(sums[0], 1e-6)
+    normal = np.moveaxis(sums[1:4] / count, 0, -1)
+    normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-6)
+    sigma = np.radians(_PER_NORMAL) * sums[4] / count
+    trust = np.where(inside, np.maximum(sums[6] / count, _LEAST_WEIGHT) * sums[0] / places, 0.0)
+    depth = _integrated(*_turned_slopes(normal, sigma, ray, block), trust)
+    # a slope grows by 1 / cos² along the inclination and by 1 / cos across
+    return depth, random * sums[5] / count / np.maximum(-normal[..., 2], _LEAST_FACING) ** 3
 
 
-@njit(cache=True)
 def _turned_slopes(
-    normal: Any, sigma: float, ray: Any, block: int, v: int, u: int, right: Any, down: Any
-) -> None:
-    """Fill by how much every entry of ΔM changes a block's slopes along u and v, (9,), a block at a time.
+    normal: FloatArray, sigma: FloatArray, ray: Any, block: int
+) -> tuple[FloatArray, FloatArray]:
+    """Return by how much every entry of ΔM changes slopes along u and v, (h, w, 9), a block at a time.
 
     The slope is −(n·r_u)/(n·r). The squares of a normal's nine turns sum to sigma² in all directions across
     it.
     """
     a, scales = ray
-    x, y = (u + 0.5) * block - 0.5, (v + 0.5) * block - 0.5
-    along_x, along_y = scales * (a[0] * x + a[1] * y + a[2]), scales * (a[3] * x + a[4] * y + a[5])
-    seen = normal[0] * along_x + normal[1] * along_y + normal[2]
-    facing = min(seen, -_LEAST_FACING)
-    slope_right, slope_down = normal[0] * a[0] + normal[1] * a[3], normal[0] * a[1] + normal[1] * a[4]
-    axis = np.zeros(3)
-    for i in range(3):  # the part across the normal of what turns it along an axis
-        for k in range(3):
-            axis[k] = (1.0 if i == k else 0.0) - normal[i] * normal[k]
-        by_ray = axis[0] * along_x + axis[1] * along_y + axis[2]
-        by_right, by_down = axis[0] * a[0] + axis[1] * a[3], axis[0] * a[1] + axis[1] * a[4]
-        to_right = block * (slope_right * by_ray / facing**2 - by_right / facing)
-        to_down = block * (slope_down * by_ray / facing**2 - by_down / facing)
-        for k in range(3):
-            right[3 * i + k] = to_right * normal[k] * sigma
-            down[3 * i + k] = to_down * normal[k] * sigma
+    height, width = sigma.shape
+    y, x = ((np.mgrid[:height, :width] + 0.5) * block - 0.5).astype(np.float64)
+    rays = np.stack([scales * (a[0] * x + a[1] * y + a[2]), scales * (a[3] * x + a[4] * y + a[5]), x**0], -1)
+    facing = np.minimum((normal * rays).sum(axis=-1, keepdims=True), -_LEAST_FACING)
+    across = np.eye(3) - normal[..., :, None] * normal[..., None, :]  # what turns a normal along each axis
+    by_ray = np.einsum("vuij,vuj->vui", across, rays)
+    slopes = []
+    for along in (np.array([a[0], a[3], 0.0]), np.array([a[1], a[4], 0.0])):
+        turned = (normal @ along)[..., None] * by_ray / facing**2 - across @ along / facing
+        nine = turned[..., :, None] * normal[..., None, :] * (block * sigma)[..., None, None]
+        slopes.append(nine.reshape(height, width, _TURNS))
+    return slopes[0], slopes[1]
 
 
-@njit(cache=True)
-def _integrate(right: Any, down: Any, trust: Any, depth: Any) -> None:
-    """Fill the weighted least-squares depth (h, w, 9) of slopes (h, w, 9); h is at most w."""
+def _integrated(right: FloatArray, down: FloatArray, trust: FloatArray) -> FloatArray:
+    """Return the weighted least-squares depth (h, w, 9) of slopes (h, w, 9)."""
     height, width = trust.shape
-    count, reach = height * width, height
-    band = np.zeros((count + reach, reach + 1))  # of row i: the entries from the diagonal on
-    load = np.zeros((count + reach, _TURNS))
-    band[:count, 0] = _HOLD
-    band[count:, 0] = 1.0
-    for u in range(width):
-        for v in range(height):
-            i = u * height + v
-            if u + 1 < width:
-                weight = min(trust[v, u], trust[v, u + 1])
-                _add_edge(band, load, i, height, weight, right[v, u], right[v, u + 1])
-            if v + 1 < height:
-                weight = min(trust[v, u], trust[v + 1, u])
-                _add_edge(band, load, i, 1, weight, down[v, u], down[v + 1, u])
-    for i in range(count):  # elimination down the band …
-        own, given = band[i], load[i]
-        for d in range(1, reach + 1):
-            if own[d] != 0.0:
-                factor = own[d] / own[0]
-                to, to_load = band[i + d], load[i + d]
-                for j in range(reach + 1 - d):
-                    to[j] -= factor * own[d + j]
-                for k in range(_TURNS):
-                    to_load[k] -= factor * given[k]
-    for i in range(count - 1, -1, -1):  # … and substitution back up
-        own, to_load = band[i], load[i]
-        for d in range(1, reach + 1):
-            for k in range(_TURNS):
-                to_load[k] -= own[d] * load[i + d, k]
-        for k in range(_TURNS):
-            to_load[k] /= own[0]
-            depth[i % height, i // height, k] = to_load[k]
-
-
-@njit(cache=True)
-def _add_edge(band: Any, load: Any, i: int, d: int, weight: float, before: Any, after: Any) -> None:
-    """Add to the normal equations that the depth rises by the mean of two slopes from block i to i + d."""
-    band[i, 0] += weight
-    band[i + d, 0] += weight
-    band[i, d] -= weight
-    for k in range(_TURNS):
-        flow = weight * 0.5 * (before[k] + after[k])
-        load[i + d, k] += flow
-        load[i, k] -= flow
+    load, diagonal = np.zeros(right.shape), np.full(trust.shape, _HOLD)
+    band = np.zeros((width + 1, height, width))  # below the diagonal: to the right one on, down a row on
+    for slopes, first, last, on in (
+        (right, np.s_[:, :-1], np.s_[:, 1:], 1),
+        (down, np.s_[:-1], np.s_[1:], width),
+    ):
+        weight = np.minimum(trust[first], trust[last])
+        flow = 0.5 * weight[..., None] * (slopes[first] + slopes[last])
+        load[first] -= flow
+        load[last] += flow
+        diagonal[first] += weight
+        diagonal[last] += weight
+        band[on][first] -= weight
+    band[0] = diagonal
+    solved = solveh_banded(band.reshape(width + 1, -1), load.reshape(-1, _TURNS), lower=True)
+    return np.asarray(solved).reshape(right.shape)
 
 
 @njit(cache=True)

@@ -1,11 +1,13 @@
 """A triangle mesh or a point cloud from depth, with one vertex per valid pixel.
 
-A mesh's outline follows that of its surface between the pixels: in a window around each pixel of the rim, the
-share of the pixels that belong to the same surface, and where it falls, tell how far the edge is. The vertex
-goes there, on the plane of its normal. Else the outline would have the steps of the pixels.
+Centres of the outermost pixels lie up to a pixel within the edge of their surface, each by another amount.
+Joined as they are, they make saw teeth in the picture. Seen from the side these are longer, where the surface
+turns away and depth falls by many pixels within that one. So a mesh ends between pixels. In a window around
+each pixel of the rim, the share that belongs to the same surface, and where it falls, tell how far the edge
+is; the plane that fits the window's depth best tells the depth there.
 """
 
-from typing import Any
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numba import prange
@@ -16,6 +18,7 @@ from vntoolkit.arrays import (
     Depth,
     Faces,
     FloatArray,
+    Int64Array,
     IntArray,
     LinearImage,
     Mask,
@@ -30,6 +33,20 @@ from vntoolkit.geometry.mesh import Mesh, vertex_normals
 from vntoolkit.geometry.point_cloud import PointCloud
 from vntoolkit.native import njit
 from vntoolkit.options.depth import MeshOptions
+
+_Sides: TypeAlias = tuple[bool, bool, bool, bool]  # upper, left, lower, right
+
+
+class _Rim(NamedTuple):
+    """Pixels at the rim of a mesh.
+
+    chosen: (m,) which ones of those asked for. moves: (m, 2) to the edge, along u and v, in pixels. planes:
+    (m, 3), depth at the pixel, and how much it changes per pixel along u and v.
+    """
+
+    chosen: IntArray
+    moves: FloatArray
+    planes: FloatArray
 
 
 @checks_kinds
@@ -51,56 +68,24 @@ def mesh_from_depth(
     """
     options = options or MeshOptions()
     _require_match(depth_map, camera, rgb, normal_map)
-    rows, columns, faces, moves = _grid_of(depth_map, camera, options)
+    rows, columns, faces, rim = _grid_of(depth_map, camera, options)
     pixels = rows * camera.width + columns
-    grid = np.stack([columns, rows], axis=-1).astype(np.float64)
-    depth = _values_at(depth_map.depth, pixels)
-    points = camera.unproject(grid, depth)
-    normals = _normals_at(normal_map, pixels, points, faces)
-    moves = _without_folds(grid, moves, faces)
-    places, moved = grid + moves, np.flatnonzero((moves[:, 0] != 0) | (moves[:, 1] != 0))
-    points[moved] = _on_planes(points[moved], normals[moved], places[moved], depth[moved], camera)
+    places: FloatArray = np.stack([columns, rows], axis=-1).astype(np.float64)
+    depth = _values_at(depth_map.depth, pixels).astype(np.float64)
+    moves = np.zeros_like(places)
+    moves[rim.chosen] = rim.moves * options.stride
+    moves = _without_folds(places, moves, faces)[rim.chosen]
+    places[rim.chosen] += moves
+    depth[rim.chosen] = rim.planes[:, 0] + (rim.planes[:, 1:] * moves).sum(axis=1) / options.stride
+    points = camera.unproject(places, depth)
     return Mesh(
         vertices=points,
         faces=faces,
-        normals=normals,
+        normals=_normals_at(normal_map, pixels, points, faces),
         colours=_colours_at(rgb, pixels),
         error_deg=None if normal_map is None else _values_at(normal_map.error_deg, pixels),
         uv=_uv_at(camera, places),
     )
-
-
-def _without_folds(grid: FloatArray, moves: FloatArray, faces: Faces) -> FloatArray:
-    """Return moves (n, 2) in pixels; none of a triangle that would lose most of its area, or turn over."""
-    moved = (moves[:, 0] != 0) | (moves[:, 1] != 0)
-    at_rim = faces[moved[faces[:, 0]] | moved[faces[:, 1]] | moved[faces[:, 2]]]
-    while len(at_rim):
-        a, b, c = ((grid + moves)[at_rim[:, i]] for i in range(3))
-        first, second = b - a, c - a
-        twice = first[:, 1] * second[:, 0] - first[:, 0] * second[:, 1]
-        a, b, c = (grid[at_rim[:, i]] for i in range(3))
-        first, second = b - a, c - a
-        bad = twice < _LEAST_AREA * (first[:, 1] * second[:, 0] - first[:, 0] * second[:, 1])
-        bad &= (moves[at_rim] != 0).any(axis=(1, 2))
-        if not bad.any():
-            break
-        moves[at_rim[bad]] = 0.0
-    return moves
-
-
-def _on_planes(
-    points: Points, normals: Points, places: FloatArray, depth: FloatArray, camera: Camera
-) -> Points:
-    """Return where the rays of other places (n, 2) meet the planes of points and normals (n, 3).
-
-    Where the plane is seen at a grazing angle, depth stays.
-    """
-    here = camera.unproject(places, depth)
-    ray = camera.unproject(places, depth + 1.0) - here
-    facing = np.einsum("ni,ni->n", normals, ray) / np.linalg.norm(ray, axis=1)
-    along = np.einsum("ni,ni->n", normals, points - here)
-    way = np.where(facing < -_LEAST_FACING, along / np.minimum(facing, -_LEAST_FACING), 0.0)
-    return here + way[:, None] * ray / np.linalg.norm(ray, axis=1, keepdims=True)
 
 
 @checks_kinds
@@ -137,14 +122,14 @@ def _require_match(
 
 def _grid_of(
     depth_map: DepthMap, camera: Camera, options: MeshOptions
-) -> tuple[IntArray, IntArray, Faces, FloatArray]:
-    """Return rows and columns of the pixels that become vertices, triangles, and moves (n, 2) to the edge."""
+) -> tuple[IntArray, IntArray, Faces, _Rim]:
+    """Return rows and columns of the pixels that become vertices, triangles, and the rim, by vertices."""
     step = options.stride
     mask = depth_map.mask[::step, ::step]
     box, whole = box_of(mask), mask.shape
     mask = np.ascontiguousarray(mask[box])
     depth = np.ascontiguousarray(depth_map.depth[::step, ::step][box])
-    kept = np.zeros(mask.shape, np.uint8)
+    kept: IntArray = np.zeros(mask.shape, np.uint8)
     largest = options.largest_step * step / camera.matrix[0, 0]
     _triangles_kernel(mask, depth, largest, camera.is_perspective, kept)
     if not kept.any():
@@ -155,19 +140,33 @@ def _grid_of(
             f"mesh: depth jumps by more than {options.largest_step:g} pixel widths in every triangle; raise "
             "the largest step"
         )
-    counts = np.empty((2, mask.shape[0]), np.int64)
-    _counts_kernel(kept, counts)
-    first = np.concatenate([np.zeros((2, 1), np.int64), np.cumsum(counts, axis=1)], axis=1)
-    rows, columns = np.empty((2, first[0, -1]), np.int64)
-    corner = box[0].start, box[1].start
-    faces = np.empty((first[1, -1], 3), np.int32)
+    used = np.zeros(mask.shape, bool)
+    for (down, right), triangles in _TRIANGLES_OF.items():
+        used[down:, right:] |= (kept[: len(kept) - down, : kept.shape[1] - right] & triangles) != 0
+    rows, columns = np.nonzero(used)
     index = np.empty(mask.shape, np.int32)
-    moves = np.zeros((len(rows), 2))
-    _vertices_kernel(kept, first[0], corner, step, index, rows, columns)
-    _faces_kernel(kept, first[1], index, faces)
+    index[used] = np.arange(len(rows))
+    first = np.cumsum([0, *np.bitwise_count(kept).sum(axis=1, dtype=np.int64)])
+    faces = np.empty((first[-1], 3), np.int32)
+    _faces_kernel(kept, first, index, faces)
+    corner = box[0].start, box[1].start
     frame = (*(corner[i] == 0 for i in range(2)), *(box[i].stop == whole[i] for i in range(2)))
-    _moves_kernel(mask, depth, kept, index, largest, camera.is_perspective, frame, moves)
-    return rows, columns, faces, moves * step
+    v, u = _beside_gaps(kept, used, frame)
+    steps = largest * np.abs(depth[v, u]) if camera.is_perspective else largest
+    rim = _fit_rim(mask, depth, v, u, steps, frame)
+    rows, columns = (rows + corner[0]) * step, (columns + corner[1]) * step
+    return rows, columns, faces, rim._replace(chosen=index[v, u][rim.chosen])
+
+
+def _beside_gaps(kept: IntArray, used: Mask, sides: _Sides) -> tuple[IntArray, IntArray]:
+    """Return rows and columns of vertices where one of the four quads around has less than two triangles."""
+    whole = np.pad((kept[:-1, :-1] == _BOTH[0]) | (kept[:-1, :-1] == _BOTH[1]), 1)
+    whole[0] |= sides[0]
+    whole[:, 0] |= sides[1]
+    whole[-1] |= sides[2]
+    whole[:, -1] |= sides[3]
+    rows, columns = np.nonzero(used & ~(whole[:-1, :-1] & whole[:-1, 1:] & whole[1:, :-1] & whole[1:, 1:]))
+    return rows, columns
 
 
 def _uv_at(camera: Camera, places: FloatArray) -> FloatArray:
@@ -199,11 +198,102 @@ def _values_at(image: Array | None, pixels: IntArray) -> Any:
     return image.reshape(-1, *image.shape[2:]).take(pixels, axis=0)  # half the time of [rows, columns]
 
 
-_LEAST_AREA = 0.1  # of a triangle at the rim, beside what it had
-_LEAST_FACING = 0.2  # cosine between normal and ray below which a plane tells no depth
+# The rim.
+
 _SMOOTHED_PX = 2.0  # standard deviation of the Gaussian that smooths the outline: steps are a pixel high …
-_WINDOW = 4  # … and its reach
+_REACH = 4  # … and the window's
 _FARTHEST_MOVE = 1.0  # pixels: the edge is before the next
+_HOLD = 1e-9  # of a window's weight: holds the plane of pixels that lie on one line
+_LEAST_AREA = 0.1  # of a triangle at the rim, beside what it had
+
+
+def _window() -> tuple[Int64Array, list[tuple[slice, list[Int64Array]]]]:
+    """Return offsets (81, 2), along u and v, ring after ring, and for each ring the next two inwards."""
+    side = np.arange(-_REACH, _REACH + 1)
+    offsets = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
+    ring = np.abs(offsets).max(axis=1)
+    offsets, ring = offsets[np.argsort(ring, kind="stable")], np.sort(ring)
+    rings = []
+    for r in range(1, _REACH + 1):
+        here = np.flatnonzero(ring == r)
+        straight = offsets[here] * (r - 1) / r
+        ends = (np.trunc(straight), np.sign(straight) * np.ceil(np.abs(straight)))
+        inwards = [(offsets == end[:, None]).all(axis=-1).argmax(axis=1) for end in ends]
+        rings.append((slice(int(here[0]), int(here[-1]) + 1), inwards))
+    return offsets, rings
+
+
+_OFFSETS, _RINGS = _window()
+_WEIGHTS = np.exp(-0.5 * (_OFFSETS**2).sum(axis=1) / _SMOOTHED_PX**2)
+_PLANE = np.column_stack([np.ones(len(_OFFSETS)), _OFFSETS])
+_PRODUCTS = (_PLANE[:, :, None] * _PLANE[:, None, :]).reshape(-1, 9)
+
+
+def _fit_rim(
+    mask: Mask, depth: Depth, rows: IntArray, columns: IntArray, largest: FloatArray | float, sides: _Sides
+) -> _Rim:
+    """Find the edge of the surface, and the depth there, at those of n pixels that lie at the rim.
+
+    mask, depth: (h, w). rows, columns: (n,). largest: (n,) or one number, the step of depth from pixel to
+    pixel beyond which surfaces part. sides: which are the picture's: the surface goes on beyond these.
+    """
+    width = mask.shape[1] + 2 * _REACH
+    kind, z = _padded(mask, sides).ravel(), np.pad(depth, _REACH, mode="edge").ravel()
+    pixels = (rows + _REACH) * width + columns + _REACH
+    largest = np.broadcast_to(largest, rows.shape)
+    amid = np.ones(len(rows), bool)
+    for step in (-width, -1, 1, width):
+        amid &= (kind[pixels + step] > 0) & (np.abs(z[pixels + step] - z[pixels]) <= largest)
+    chosen = np.flatnonzero(~amid)
+    places = pixels[chosen] + (_OFFSETS @ [1, width])[:, None]  # (81, m)
+    kinds, values = kind.take(places), z.take(places)
+    joined = kinds > 0
+    for ring, inwards in _RINGS:
+        reached = np.zeros_like(joined[ring])
+        for inner in inwards:
+            reached |= joined[inner] & (np.abs(values[ring] - values[inner]) <= largest[chosen])
+        joined[ring] &= reached
+    weights = joined * _WEIGHTS[:, None]
+    fall = _OFFSETS.T @ weights
+    length = np.maximum(np.hypot(*fall), _HOLD)
+    way = _SMOOTHED_PX**2 * (weights.sum(axis=0) - 0.5 * _WEIGHTS.sum()) / length
+    way = np.clip(way, -_FARTHEST_MOVE, _FARTHEST_MOVE)
+    # depth falls fastest at the edge, where least of it is seen: a pixel counts by its distance from it
+    weights *= np.maximum(_OFFSETS @ (fall / length) + way, 0.0) * (kinds == 1)
+    normal = (_PRODUCTS.T @ weights).T.reshape(-1, 3, 3) + _HOLD * np.eye(3)
+    own = values[0].astype(np.float64)
+    planes = np.linalg.solve(normal, (_PLANE.T @ (weights * (values - own))).T[..., None])[..., 0]
+    planes[:, 0] += own
+    return _Rim(chosen, (-way * fall / length).T, planes)
+
+
+def _padded(mask: Mask, sides: _Sides) -> IntArray:
+    """Return (h + 8, w + 8): 0 outside, 1 inside, more beyond a side of the picture, where it goes on."""
+    kind: IntArray = np.pad(mask.astype(np.uint8), _REACH, mode="edge")
+    borders = (kind[:_REACH], kind[:, :_REACH], kind[-_REACH:], kind[:, -_REACH:])
+    for border, is_picture in zip(borders, sides, strict=True):
+        border[:] *= 2 if is_picture else 0
+    return kind
+
+
+def _without_folds(grid: FloatArray, moves: FloatArray, faces: Faces) -> FloatArray:
+    """Return moves (n, 2) in pixels, halved until no triangle loses most of its area, or turns over."""
+    moved = (moves[:, 0] != 0) | (moves[:, 1] != 0)
+    at_rim = faces[moved[faces[:, 0]] | moved[faces[:, 1]] | moved[faces[:, 2]]]
+    corners = grid[at_rim]
+    least = _LEAST_AREA * _twice_area(corners)
+    folded = at_rim
+    while len(folded):
+        folded = at_rim[_twice_area(corners + moves[at_rim]) < least]
+        moves[folded] *= 0.5
+    return moves
+
+
+def _twice_area(corners: FloatArray) -> FloatArray:
+    """Return (n,), twice the areas of triangles (n, 3, 2) that face the camera."""
+    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    return np.asarray(first[:, 1] * second[:, 0] - first[:, 0] * second[:, 1])
+
 
 # Compiled loops. A pixel stands for the quad whose upper left corner it is: corners a, b (right), c (below)
 # and d (below right). Four valid corners make two triangles; three, or four of which one lies beyond a jump,
@@ -211,6 +301,8 @@ _FARTHEST_MOVE = 1.0  # pixels: the edge is before the next
 
 # x right, y down, z away: (top left, bottom left, top right) turns counter-clockwise for the camera
 _CORNERS = ((0, 2, 1), (1, 2, 3), (0, 2, 3), (0, 3, 1))
+_TRIANGLES_OF = {(0, 0): 0b1101, (0, 1): 0b1011, (1, 0): 0b0111, (1, 1): 0b1110}  # bits, by corner
+_BOTH = (0b0011, 0b1100)  # two of them make a quad
 
 
 @njit(cache=True, parallel=True)
@@ -235,53 +327,6 @@ def _triangles_kernel(mask: Mask, depth: Depth, largest: float, times_depth: boo
             kept[v, u] = bits
 
 
-@njit(cache=True, inline="always")
-def _is_used(kept: Mask, v: int, u: int) -> bool:
-    """True where a triangle of the four quads around a pixel has it for a corner."""
-    used = kept[v, u] & 0b1101 != 0
-    if u > 0:
-        used |= kept[v, u - 1] & 0b1011 != 0
-    if v > 0:
-        used |= kept[v - 1, u] & 0b0111 != 0
-        if u > 0:
-            used |= kept[v - 1, u - 1] & 0b1110 != 0
-    return used
-
-
-@njit(cache=True, parallel=True)
-def _counts_kernel(kept: Mask, counts: IntArray) -> None:
-    """Fill counts (2, h): vertices and triangles of each row."""
-    h, w = kept.shape
-    for v in prange(h):
-        vertices, triangles = 0, 0
-        for u in range(w):
-            vertices += _is_used(kept, v, u)
-            for i in range(4):
-                triangles += (kept[v, u] >> i) & 1
-        counts[0, v], counts[1, v] = vertices, triangles
-
-
-@njit(cache=True, parallel=True)
-def _vertices_kernel(
-    kept: Mask,
-    first: IntArray,
-    corner: tuple[int, int],
-    step: int,
-    index: IntArray,
-    rows: IntArray,
-    columns: IntArray,
-) -> None:
-    """Number vertices by rows: index (h, w), rows, columns (n,). corner: of kept, after the stride."""
-    h, w = kept.shape
-    for v in prange(h):
-        number = first[v]
-        for u in range(w):
-            if _is_used(kept, v, u):
-                index[v, u] = number
-                rows[number], columns[number] = (corner[0] + v) * step, (corner[1] + u) * step
-                number += 1
-
-
 @njit(cache=True, parallel=True)
 def _faces_kernel(kept: Mask, first: IntArray, index: IntArray, faces: Faces) -> None:
     h, w = kept.shape
@@ -294,72 +339,3 @@ def _faces_kernel(kept: Mask, first: IntArray, index: IntArray, faces: Faces) ->
                         corner = _CORNERS[i][j]
                         faces[number, j] = index[v + (corner >> 1), u + (corner & 1)]
                     number += 1
-
-
-@njit(cache=True, inline="always")
-def _is_of_surface(
-    mask: Mask,
-    depth: Depth,
-    v: int,
-    u: int,
-    j: int,
-    i: int,
-    step: float,
-    frame: tuple[bool, bool, bool, bool],
-) -> bool:
-    """True where the pixel j rows and i columns on lies on the surface of pixel (v, u).
-
-    step: the largest of depth from pixel to pixel. Beyond a side of the picture the surface goes on.
-    """
-    h, w = mask.shape
-    y, x = v + j, u + i
-    if (y < 0 and frame[0]) or (y >= h and frame[2]):
-        y = v
-    if (x < 0 and frame[1]) or (x >= w and frame[3]):
-        x = u
-    if y < 0 or y >= h or x < 0 or x >= w or not mask[y, x]:
-        return False
-    return abs(depth[y, x] - depth[v, u]) <= step * max(abs(i), abs(j), 1)
-
-
-@njit(cache=True, parallel=True)
-def _moves_kernel(
-    mask: Mask,
-    depth: Depth,
-    kept: Mask,
-    index: IntArray,
-    largest: float,
-    times_depth: bool,
-    frame: tuple[bool, bool, bool, bool],
-    moves: FloatArray,
-) -> None:
-    """Fill moves (n, 2), along u and v, of the pixels of the rim. frame: whether a side is the picture's."""
-    h, w = mask.shape
-    for row in prange(h):
-        v = np.int64(row)  # signed, for what lies beyond the border
-        for u in range(w):
-            if not _is_used(kept, v, u):
-                continue
-            step = largest * (abs(depth[v, u]) if times_depth else 1.0)
-            inside = _is_of_surface(mask, depth, v, u, 0, -1, step, frame)
-            inside &= _is_of_surface(mask, depth, v, u, 0, 1, step, frame)
-            inside &= _is_of_surface(mask, depth, v, u, -1, 0, step, frame)
-            inside &= _is_of_surface(mask, depth, v, u, 1, 0, step, frame)
-            if inside:
-                continue
-            total, share, fall_u, fall_v = 0.0, 0.0, 0.0, 0.0
-            for j in range(-_WINDOW, _WINDOW + 1):
-                for i in range(-_WINDOW, _WINDOW + 1):
-                    weight = np.exp(-0.5 * (i * i + j * j) / _SMOOTHED_PX**2)
-                    total += weight
-                    if _is_of_surface(mask, depth, v, u, j, i, step, frame):
-                        share += weight
-                        fall_u += weight * i
-                        fall_v += weight * j
-            length = np.hypot(fall_u, fall_v)
-            if length == 0.0:
-                continue
-            way = _SMOOTHED_PX**2 * (share - 0.5 * total) / length
-            way = max(min(way, _FARTHEST_MOVE), -_FARTHEST_MOVE)
-            moves[index[v, u], 0] = -way * fall_u / length
-            moves[index[v, u], 1] = -way * fall_v / length
