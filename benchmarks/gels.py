@@ -1,4 +1,4 @@
-"""Normals of two real gels, on presses of a ball that the calibration did not see.
+"""Normals of two real gels, on presses of a ball that the calibration did not see; and times of a frame.
 
     python -m benchmarks.gels --data DIR [--presses 20] [--splits 3] [--out DIR]     # 10 min
 
@@ -6,6 +6,9 @@ DIR holds presses into a GelSight (gelsight/ball_presses) and a GelSight Mini (g
 for `calibrate presses`, which finds the circles; others are measured. Angles are to the normals of the ball,
 inside 0.8 of the radius of the contact that is found, at the centre that fits the normals best. Beside them,
 on the same presses: M alone, a network of the size that kits ship, and a polynomial of colour and place.
+
+Times are medians over a film of such a GelSight with printed dots (gelsight/dotted_ball), of as many pixels
+as 320×240 have. Beside each frame a plain one is timed, as in `benchmarks.ratios`.
 """
 
 from __future__ import annotations
@@ -13,6 +16,9 @@ from __future__ import annotations
 import argparse
 import os
 import tempfile
+import time
+from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +26,12 @@ import numpy as np
 
 import vntoolkit as vt
 from benchmarks.gel_baselines import network, polynomial
+from benchmarks.pipeline import footage, options_of, rig_of
 from vntoolkit.arrays import FloatArray, Mask
-from vntoolkit.io.footage.decoding import rectify_frame
+from vntoolkit.io.footage.decoding import EncodedFrame, linear_frame_from_encoded, rectify_frame
+from vntoolkit.options.reconstruction import Product, ReconstructOptions
+from vntoolkit.photometry.rig import Rig
+from vntoolkit.pipeline.frame_processor import Carried, FrameProcessor
 from vntoolkit.report.recipes_page import number, write_numbers
 from vntoolkit.tactile.circles import find_contact_circle
 from vntoolkit.tactile.dots import DotFilter
@@ -44,6 +54,8 @@ SENSORS: dict[str, dict[str, Any]] = {
         "pixel_mm": 0.0634,
     },
 }
+FILM, UNTOUCHED = "gelsight/dotted_ball/0*.jpg", "gelsight/dotted_ball/dotted_ball_background.jpg"
+FILM_PX, TIMED, WARM_UP = 320 * 240, 110, 10  # pixels of a frame; frames, and those that compile
 MEASURED = 24
 CONTACT_SHARE = 0.8
 IN_CONTACT, ON_FLAT = 800, 540  # pixels of a press, as many as the calibration draws
@@ -61,28 +73,39 @@ def angles_to_ball(normals: FloatArray, contact: Mask, ball_px: float) -> FloatA
     return np.degrees(np.arccos(np.clip((found * ball).sum(axis=1), -1, 1)))[inside]
 
 
-def errors_of(sensor: dict[str, Any], data: Path, presses: int, seed: int) -> dict[str, FloatArray]:
-    """Calibrate each method on some presses, and return its angles on others."""
-    asked = {**sensor, "background": data / sensor["background"]}
-    rng, files = np.random.default_rng(seed), sorted(data.glob(asked.pop("presses")))
-    drawn = rng.permutation(np.array(files))
+def rig_on(presses: Iterable[Path], data: Path, sensor: dict[str, Any]) -> Rig:
+    """Calibrate on some presses of a sensor."""
+    asked = {name: value for name, value in sensor.items() if name != "presses"}
+    asked["background"] = data / sensor["background"]
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch) / "presses"
         folder.mkdir()
-        for path in drawn[:presses]:
+        for path in presses:
             (folder / path.name).symlink_to(path.resolve())
-        rig = vt.calibrate_presses(folder, out=Path(scratch) / "gel.json", **asked)
-        gel = vt.Gel.read(Path(scratch) / "gel.json", asked["background"])
+        return vt.calibrate_presses(folder, out=Path(scratch) / "gel.json", **asked)
+
+
+def frame_of(path: Path) -> EncodedFrame:
+    """Read the first frame of a file."""
+    return next(vt.open_capture(path).encoded_frames())
+
+
+def errors_of(sensor: dict[str, Any], data: Path, presses: int, seed: int) -> dict[str, FloatArray]:
+    """Calibrate each method on some presses, and return its angles on others."""
+    rng, files = np.random.default_rng(seed), sorted(data.glob(sensor["presses"]))
+    drawn = rng.permutation(np.array(files))
+    rig, background = rig_on(drawn[:presses], data, sensor), data / sensor["background"]
+    gel = vt.Gel(rig, frame_of(background).values)
 
     def as_filmed(path: Path) -> FloatArray:
         frame = vt.open_capture(path, vt.CaptureOptions(transfer=rig.transfer)).frame(0)
         return (rectify_frame(frame, rig.gel.rectification) if rig.gel.rectification else frame).rgb
 
-    untouched, ball_px = as_filmed(asked["background"]), asked["ball_radius_mm"] / gel.pixel_mm
+    untouched, ball_px = as_filmed(background), sensor["ball_radius_mm"] / gel.pixel_mm
     by_network, by_polynomial = others_of([as_filmed(p) for p in drawn[:presses]], untouched, ball_px)
     angles: dict[str, list[FloatArray]] = {}
     for path in drawn[presses : presses + MEASURED]:
-        touch, filmed = gel(next(vt.open_capture(path).encoded_frames()).values), as_filmed(path)
+        touch, filmed = gel(frame_of(path).values), as_filmed(path)
         scaled = (filmed - untouched).reshape(-1, 3) @ rig.response.inverse.T
         by_matrix = normals_from_stereographic(first_estimate(scaled)).reshape(filmed.shape)
         for method, normals in (
@@ -133,6 +156,39 @@ def others_of(presses: list[FloatArray], untouched: FloatArray, ball_px: float) 
     ]
 
 
+def times_of(data: Path, presses: int) -> dict[str, FloatArray]:
+    """Return milliseconds of each frame of a film, by what is done."""
+    sensor = SENSORS["GelSight"]
+    pixel_mm = float(np.sqrt(np.prod(sensor["size_mm"]) / FILM_PX))
+    rig = rig_on(sorted(data.glob(sensor["presses"]))[:presses], data, {**sensor, "pixel_mm": pixel_mm})
+    film = [frame_of(path) for path in sorted(data.glob(FILM))[:TIMED]]
+    untouched = frame_of(data / UNTOUCHED)
+    gel = vt.Gel(rig, untouched.values, allow=("background", "light"))
+    pose = vt.ObjectPose(rig.camera)
+    background = linear_frame_from_encoded(untouched, rig.transfer).rgb
+    to_depth = FrameProcessor(rig, ReconstructOptions(to=Product.DEPTH), background=background)
+    size = rig.camera.width, rig.camera.height
+    plain, of_plain, of_gel = FrameProcessor(rig_of(*size), options_of()), Carried(), Carried()
+    ticks = []
+    for frame, values in zip(film, footage(*size, len(film)), strict=True):
+        ticks.append([time.perf_counter()])
+        plain.process(replace(frame, values=values), None, of_plain)
+        ticks[-1].append(time.perf_counter())
+        to_depth.process(frame, None, of_gel)
+        ticks[-1].append(time.perf_counter())
+        touch = gel(frame.values)
+        ticks[-1].append(time.perf_counter())
+        pose(touch)
+        ticks[-1].append(time.perf_counter())
+    on_plain, on_depth, on_touch, on_pose = 1000.0 * np.diff(np.array(ticks[WARM_UP:])).T
+    return {
+        "a plain frame": on_plain,
+        "depth and contact": on_depth,
+        "with motion": on_touch,
+        "with motion and pose": on_touch + on_pose,
+    }
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -159,6 +215,13 @@ def main() -> None:
                 number(f"{name}, {method}: nine of ten", float(np.percentile(angles, 90)), "degrees"),
                 number(f"{name}, {method}: median of each split", of_splits, "degrees"),
             ]
+    times = times_of(arguments.data, arguments.presses)
+    plain_ms = float(np.median(times.pop("a plain frame")))
+    numbers.append(number("times: a plain frame", plain_ms, "ms"))
+    numbers += [
+        number(f"times: {what}", float(np.median(each)) / plain_ms, "plain frames")
+        for what, each in times.items()
+    ]
     for each in numbers:
         shown = each.ours if isinstance(each.ours, str) else f"{each.ours:.3g}"
         print(f"{each.what}: {shown} {each.unit}")

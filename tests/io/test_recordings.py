@@ -115,9 +115,15 @@ def test_a_picture_that_is_not_read_is_one_line(tmp_path: Path, changed: dict, l
 
 def test_a_recording_that_is_not_read_is_one_line(tmp_path: Path) -> None:
     whole = recorded(tmp_path / "a.mcap", *[fields(np.zeros((2, 3, 3), np.uint8), "rgb8")] * 2)
-    for name, content in (("cut", whole.read_bytes()[:-40]), ("text", b"hello")):
-        (tmp_path / f"{name}.mcap").write_bytes(content)
-        with pytest.raises(BadCapture, match=r"cannot be read .*`mcap recover` saves a cut-off recording"):
+    content = whole.read_bytes()
+    for name, wrong, line in (
+        ("cut", content[:-40], rf"ends early, after {len(content) - 40} bytes, .*; run `mcap recover FILE"),
+        ("mark", content[:8], "ends early, after 8 bytes"),
+        ("text", b"hello", r"expected an MCAP recording, .*; this file begins with b'hello': name a"),
+        ("hole", content[:8] + bytes(len(content) - 60) + content[-52:], "is damaged between its beginning"),
+    ):
+        (tmp_path / f"{name}.mcap").write_bytes(wrong)
+        with pytest.raises(BadCapture, match=line):
             vt.open_capture(tmp_path / f"{name}.mcap")
     with pytest.raises(BadCapture, match=r"topic /nope is not there, .*: /gel/image_raw"):
         vt.open_capture(f"{whole}:/nope")
@@ -148,6 +154,7 @@ def frame_of(rng: np.random.Generator, number: int = 4) -> RecordedFrame:
         contact=mask,
         contact_mm2=1.5,
         contact_depth_mm=0.25,
+        moved_px=np.full((20, 7, 2), (0.5, -1.5), np.float32),
         mesh=Mesh(vertices=rng.normal(size=(3, 3)), faces=np.array([[0, 1, 2]], np.int32)),
         object_from_first=RigidTransform.from_rotation_vector((0.1, 0.2, 0.3), (1, 2, 3)),
     )
@@ -184,8 +191,8 @@ def test_a_recording_for_rerun_holds_all_of_a_frame_on_one_timeline(
             row = {name: values[k] for name, values in columns.items() if values[k] is not None}
             rows.setdefault(chunk.entity_path, {})[number] = row
     assert set(rows) == {
-        "/picture", "/normals", "/error_deg", "/depth", "/contact", "/contact_mm2", "/contact_depth_mm",
-        "/surface", "/object",
+        "/picture", "/picture/motion", "/normals", "/error_deg", "/depth", "/contact", "/contact_mm2",
+        "/contact_depth_mm", "/surface", "/object",
     }  # fmt: skip
     for frame in frames:
         mine = {name[1:]: row[frame.number] for name, row in rows.items()}
@@ -200,6 +207,7 @@ def test_a_recording_for_rerun_holds_all_of_a_frame_on_one_timeline(
         assert mine["object"]["Transform3D:translation"] == [[1, 2, 3]]
         columnwise = np.array(mine["object"]["Transform3D:mat3x3"][0]).reshape(3, 3).T
         np.testing.assert_allclose(columnwise, frame.object_from_first.rotation, atol=1e-6)
+        assert mine["picture/motion"]["Arrows2D:vectors"] == [[0.5, -1.5]] * 2
         assert mine["contact_mm2"]["Scalars:scalars"] == [1.5]
         normals = np.array(mine["normals"]["Image:buffer"][0], np.uint8).reshape(5, 7, 3)
         assert {tuple(n) for n in normals[frame.normals.mask].tolist()} == {(128, 128, 255)}

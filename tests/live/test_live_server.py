@@ -8,6 +8,7 @@ import time
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
@@ -28,7 +29,9 @@ from vntoolkit.live.page import LiveViewer, PacketSizes, camera_block
 from vntoolkit.meshing.surface import mesh_from_depth
 from vntoolkit.options.depth import MeshOptions
 from vntoolkit.options.pages import ViewerOptions
+from vntoolkit.report.dents import picture_of_dents
 from vntoolkit.report.scene import depth_block, depth_box, normals_block, place_of
+from vntoolkit.tactile.contact import Contact
 
 FIGURES = LiveFigures(
     arrived=1, processed=1, dropped=0, failed=0, arrival_hz=0.0, rate_hz=0.0, latency_s=(0.0, 0.0)
@@ -143,6 +146,25 @@ def test_pictures_carry_normals_and_mark_what_is_clipped(dome: tuple[LiveResult,
         assert (np.delete(picture.reshape(-1, 4), 19, axis=0) == (70, 70, 70, 255)).all()
     with pytest.raises(BadInput, match="sizes from 2 to"):
         PacketSizes(grid=100_000)
+
+
+def test_a_touch_comes_with_its_depth_in_colours(dome: tuple[LiveResult, Camera]) -> None:
+    shape = dome[0].normal_map.shape
+    depth = DepthMap(depth=np.full(shape, -4e-4, np.float32), mask=np.ones(shape, bool))
+    contact = Contact(mask=depth.mask, area_mm2=6.0, depth_mm=0.4)
+    shown = LiveViewer(dome[1], ViewerOptions(port=free_port()), figures=lambda: FIGURES)
+    try:
+        asked = Asked(shown)
+        shown.show(replace(dome[0], depth_map=depth, contact=contact), timed())
+        asked.join()
+        header, blocks = opened(asked.content)
+    finally:
+        shown.close()
+    told = header["pictures"]["dents"]
+    assert told["shape"] == list(shape)
+    picture = np.frombuffer(blocks[told["at"] :][: 4 * depth.mask.size], np.uint8).reshape(*shape, 4)
+    np.testing.assert_array_equal(picture[..., :3], picture_of_dents(depth, 0.5))
+    assert (picture[..., 3] == 255).all()
 
 
 def test_one_packet_per_question_and_always_the_newest(viewer, dome):

@@ -13,9 +13,11 @@ from tests.pipeline.test_gel import BALL, write_presses
 from vntoolkit.__main__ import main
 from vntoolkit.io.footage.image_writing import write_png
 from vntoolkit.io.footage.images import read_image
+from vntoolkit.io.maps_and_meshes.exr import read_exr
 from vntoolkit.io.results.sequences import read_mesh_sequence
 from vntoolkit.io.rigs import write_rig
 from vntoolkit.pipeline.calibrate_presses import calibrate_presses
+from vntoolkit.pipeline.gel_motion import read_displacement_mm
 from vntoolkit.tactile.dots import DotFilter
 from vntoolkit.tactile.motion import Membrane
 
@@ -56,7 +58,19 @@ def test_track_follows_the_material_and_goes_on_where_it_stopped(moved: Path, ca
     # 0.1 mm is a pixel
     assert np.percentile(np.abs(step[:, known, 1] - 0.1), 95) < 0.05
     assert np.percentile(np.abs(step[:, known, 0]), 95) < 0.05
-    (moved / "out" / "track" / "checkerboard.mkv").unlink()
+    track = moved / "out" / "track"
+    for k in range(FRAMES):
+        maps, _ = read_exr(track / "motion" / f"{k:06d}.exr")
+        seen = np.isfinite(maps["error_mm"]) & (np.hypot(U - 60, V - 90) > 40)
+        assert np.median(maps["dy_mm"][seen]) == pytest.approx(0.1 * (k + 1), abs=0.02)
+        assert abs(np.median(maps["dx_mm"][seen])) < 0.02
+        assert {"divergence", "curl_deg"} < set(maps)
+        read = read_displacement_mm(track, k)
+        assert np.array_equal(np.isfinite(read[..., 0]), np.isfinite(maps["error_mm"]))
+    head, *rows = (track / "motion.csv").read_text().splitlines()
+    assert head == "frame,shear_x_mm,shear_y_mm,twist_deg,seen_share"
+    assert [float(row.split(",")[2]) for row in rows] == pytest.approx([0.1, 0.2, 0.3, 0.4, 0.5], abs=0.03)
+    (track / "checkerboard.mkv").unlink()
     kept = (moved / "out" / "track" / "vertices.npy").read_bytes()
     capsys.readouterr()
     assert main(command) == 0

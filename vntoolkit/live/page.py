@@ -21,6 +21,7 @@ from vntoolkit.live.capture import LatencyMeter, LiveFigures, LiveRecorder, Time
 from vntoolkit.live.frames import LiveResult, exposure_warnings
 from vntoolkit.options.pages import ViewerOptions
 from vntoolkit.report import scene
+from vntoolkit.report.dents import picture_of_dents, scale_end_mm
 from vntoolkit.report.local_server import LocalServer
 from vntoolkit.tactile.contact import Contact
 
@@ -78,6 +79,7 @@ class LiveViewer:
         self._serial, self._sent_s, self._late_s = 0, 0.0, late_s
         self._changed, self._closed = threading.Condition(), False
         self._pages: dict[str, _Page] = {}
+        self._deepest_mm = 0.0  # so far: the scale of depth does not jump back
         self._place: dict[str, list[float]] | None = None
         self._warned: dict[str, float] = {}
         self._problem = ""
@@ -161,6 +163,10 @@ class LiveViewer:
             pictures["normals"] = scene.normals_block(
                 normal_map, scene.stride_to(normal_map.shape, sizes.normals)
             )
+            if depth_map is not None and contact is not None:
+                self._deepest_mm = max(self._deepest_mm, contact.depth_mm)
+                dents = picture_of_dents(depth_map, scale_end_mm(self._deepest_mm))
+                pictures["dents"] = np.dstack([dents, np.full(dents.shape[:2], 255, np.uint8)])
             if depth_map is not None and depth_map.mask.any():
                 self._place = self._place or scene.place_of([scene.depth_box(depth_map, self._camera)])
                 stride = scene.stride_to(depth_map.shape, sizes.grid)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vntoolkit import progress
+from vntoolkit.arrays import Float32Array
 from vntoolkit.errors import BadInput, VntError
 from vntoolkit.geometry.mesh import Mesh, vertex_normals
 from vntoolkit.geometry.rigid import RigidTransform
@@ -19,6 +20,7 @@ from vntoolkit.io.maps_and_meshes.masks import read_mask
 from vntoolkit.io.recordings.recorded import RecordedFrame, Stamp
 from vntoolkit.options.export import ExportFormat
 from vntoolkit.pipeline.export import ExportJob, ExportSummary, file_lengths, offset_of, own_mesh
+from vntoolkit.pipeline.gel_motion import read_displacement_mm
 from vntoolkit.pipeline.opened_result import OpenedResult
 
 if TYPE_CHECKING:
@@ -81,9 +83,16 @@ class _Frames:
                 contact=read_mask(result.folder.file("contact", number)) if touched else None,
                 contact_mm2=None if entry is None else entry.contact_mm2,
                 contact_depth_mm=None if entry is None else entry.contact_depth_mm,
+                moved_px=self._moved_px(number) if is_rrd else None,
                 mesh=self._mesh(number) if is_rrd else None,
                 object_from_first=self._motions.get(number),
             )
+
+    def _moved_px(self, number: int) -> Float32Array | None:
+        if self._track is None:
+            return None
+        moved_mm = read_displacement_mm(self._track.folder, number)
+        return None if moved_mm is None else moved_mm * np.float32(self._result.camera.matrix[0, 0] / _MM)
 
     def _mesh(self, number: int) -> Mesh | None:
         track, options = self._track, self._options

@@ -1,7 +1,7 @@
 """A tactile gel as one object: from a raw frame to normals, depth in millimetres and contact."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Self
 
@@ -19,7 +19,7 @@ from vntoolkit.io.rigs import read_rig
 from vntoolkit.options.reconstruction import Product, ReconstructOptions
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.rig import Rig
-from vntoolkit.pipeline.frame_processor import FrameProcessor
+from vntoolkit.pipeline.frame_processor import Carried, FrameProcessor
 from vntoolkit.pipeline.outputs import FrameResult
 from vntoolkit.pipeline.pressed_gel import membrane_of
 from vntoolkit.tactile.motion import MembraneMotion
@@ -73,6 +73,7 @@ class Gel:
         options = ReconstructOptions(to=Product.DEPTH)
         self._processor = FrameProcessor(rig, options, background=self._background.rgb)
         self._membrane = membrane_of(rig, self._background.rgb)
+        self._carried = Carried()
         self._moved: MembraneMotion | None = None
 
     @classmethod
@@ -95,17 +96,17 @@ class Gel:
         Raises `BadInput` for another shape, `BadCapture` for one that is black or clipped, `FatalFinding`.
         """
         encoded = self._encoded(frame, "frame")
-        filmed = self._linear(encoded)
-        require_exposed(filmed, encoded.name)
-        result = self._processor.process(encoded)
-        assert result.depth_map is not None
+        prepared = self._processor.prepared(encoded, None, self._carried)
+        assert prepared.linear is not None
+        seen = replace(prepared.linear, rgb=prepared.linear.rgb + self._membrane.untouched)
+        require_exposed(seen, encoded.name)
+        result = self._processor.with_depth(self._processor.normals(prepared), self._carried)
         if not self._checked:
-            found = findings_from_touches(self.rig, self._background, [filmed], [result])
+            found = findings_from_touches(self.rig, self._background, [self._linear(encoded)], [result])
             judge(found, self._allow)
             self._checked = True
         assert result.contact is not None
-        paint = self._membrane.picture(resampler_of(self.rig).frame(filmed).rgb)
-        self._moved = self._membrane.follow(paint, self._moved)
+        self._moved = self._membrane.follow(self._membrane.picture(seen.rgb), self._moved)
         contact = result.contact.mask
         return _touch(result, motion_over_picture(self._membrane, self._moved, contact, self.pixel_mm))
 

@@ -105,6 +105,10 @@ def track(asked: TrackArguments) -> TrackSummary:
         tracker = _tracker_of(asked, seams, source, template, paint_of, membrane)
         begin_run(target, TRACKS, record, overwrite=asked.overwrite)
         resumed = _run(tracker, source, template, target, paint_of)
+        if membrane is not None:
+            from vntoolkit.pipeline.gel_motion import write_gel_motion
+
+            write_gel_motion(source, membrane, target)
     missing = tuple(n for n in numbers if n not in there)
     visible, error_px = _visible_shares(asked, [numbers.index(n) for n in there])
     judge(findings_from_tracks(visible, error_px, there if visible else ()))
@@ -179,7 +183,9 @@ def _paint_reader(
     membrane: of a gel, whose paint is its printed dots, or its texture.
     """
     if membrane is not None:
-        return lambda number, _: membrane.picture(result.linear(number).rgb + membrane.untouched)
+        from vntoolkit.pipeline.gel_motion import paint_of_gel
+
+        return lambda number, _: paint_of_gel(result, membrane, number)
     if asked.method is not Tracker.DEFAULT or result.rig.gel is not None:  # a gel has one reflectance
         return None
     try:

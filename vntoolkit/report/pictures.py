@@ -112,6 +112,8 @@ def pictures_of_frame(
 ) -> dict[str, Picture]:
     """Return what there is of a frame: captured, normals, depth (as relief), shadows and materials, so named.
 
+    Of a gel also dents: depth in mm, on one scale for all frames.
+
     ground: grey value where a map is invalid; beside_normals, beside_labels: for those, default as for all.
     """
     normal_map, depth_map = result.normals(number), result.depth(number)
@@ -120,6 +122,11 @@ def pictures_of_frame(
     pictures["normals"] = picture_of_normals(normal_map, ground=beside_normals)
     if depth_map is not None:
         pictures["depth"] = picture_of_depth(depth_map, result.camera, ground=ground)
+        if result.rig.gel is not None:
+            from vntoolkit.report.dents import picture_of_dents, scale_end_mm
+
+            depths = [entry.contact_depth_mm or 0.0 for entry in result.entries.values()]
+            pictures["dents"] = picture_of_dents(depth_map, scale_end_mm(max(depths, default=0.0)), ground)
     if labels is not None:
         beside = ground if beside_labels is None else beside_labels
         pictures["shadows"] = picture_of_labels(labels, normal_map.mask, ground=beside)

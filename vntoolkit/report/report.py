@@ -234,7 +234,7 @@ def _marker(count: int) -> dict[str, Any]:
 
 
 _SHEET_PX = 1600
-_TITLES = {"depth": "relief", "shadows": "lights that arrive"}
+_TITLES = {"depth": "relief", "dents": "depth in mm", "shadows": "lights that arrive"}
 _ERRORS = pictures.ErrorScale(most=30.0)
 _BESIDE = 205  # grey beside the subject, since white means that all lights arrive
 

@@ -75,7 +75,7 @@ class GelInverter:
         if self._errors_deg is None:
             return normal_map
         cosine = np.clip(-normal_map.normals_in_camera[..., 2], 0.0, 1.0)
-        error = self._errors_deg[(cosine * _TILTS).astype(np.int32)]
+        error = self._errors_deg.take((cosine * _TILTS).astype(np.int32))
         cells = tuple(-(-length // NOISE_CELL_PX) for length in normal_map.shape)
         noise = np.full(cells, _noise_deg(normal_map.normals_in_camera))
         return replace(normal_map, error_deg=error, noise_deg=noise)

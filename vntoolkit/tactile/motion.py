@@ -13,6 +13,7 @@ error.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import cv2
@@ -68,6 +69,18 @@ class MotionField(NamedTuple):
     displacement_px: Points2
     gradient: FloatArray
     nearest: Array
+
+
+class Cells(NamedTuple):
+    """A grid over a picture: middles of its columns (u, ascending) and rows, pixels."""
+
+    columns_px: FloatArray
+    rows_px: FloatArray
+
+    @property
+    def middles_px(self) -> Points2:
+        """(k, 2), row by row."""
+        return np.stack(np.meshgrid(self.columns_px, self.rows_px), axis=-1).reshape(-1, 2)
 
 
 class Membrane:
@@ -161,11 +174,11 @@ class Membrane:
         contrast = np.minimum((seen**2).sum(axis=1), (self._patterns**2).sum(axis=1))
         found = (status[:, 0] > 0) & (changed < contrast)
         displacement = moved - rest
-        weights = self._others
-        told, _ = _affine_fit(weights * found, rest, displacement, rest, self._reach_px)
+        weights, terms = self._others, _terms(rest, displacement, self._reach_px)
+        told, _ = _affine_fit((weights * found) @ terms, rest, self._reach_px)
         # a point further off than half the way to the next is the next
         found &= np.linalg.norm(displacement - told, axis=1) < self.spacing_px / 2
-        told, _ = _affine_fit(weights * found, rest, displacement, rest, self._reach_px)
+        told, _ = _affine_fit((weights * found) @ terms, rest, self._reach_px)
         squared = np.where(found, ((displacement - told) ** 2).sum(axis=1), 0.0)
         share = weights + np.eye(len(rest))
         variance = share @ squared / np.maximum(share @ found.astype(np.float64), 1e-9) / 2.0
@@ -176,42 +189,56 @@ class Membrane:
             error_px=_NINE_OF_TEN * np.sqrt(variance),
         )
 
-    @property
-    def cells(self) -> tuple[Points2, tuple[int, int]]:
-        """Middles (k, 2) of cells that cover the picture, row by row, and how many rows and columns."""
+    @cached_property
+    def cells(self) -> Cells:
+        """Cells that cover the picture."""
         height, width = self._rest.shape
         side = max(1.0, min(self.spacing_px, height, width) / _CELLS)
-        rows, columns = round(height / side), round(width / side)
-        u = (np.arange(columns) + 0.5) * width / columns - 0.5
-        v = (np.arange(rows) + 0.5) * height / rows - 0.5
-        return np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2), (rows, columns)
+        columns, rows = (np.arange(round(length / side)) + 0.5 for length in (width, height))
+        return Cells(columns * width / len(columns) - 0.5, rows * height / len(rows) - 0.5)
 
     def displacement_at_rest(self, motion: MembraneMotion) -> Flow:
         """Motion (h, w, 2), pixels, of the material of every pixel of the untouched gel."""
-        places, cells = self.cells
-        return enlarged(self.field_at_rest(motion, places).displacement_px, cells, self._rest.shape)
+        moved = self._field_of_cells(motion, motion.rest_px).displacement_px
+        return enlarged(moved, self.cells, self._rest.shape)
 
     def field_at_rest(self, motion: MembraneMotion, positions_px: Points2) -> MotionField:
         """Motion of the material that is at positions (k, 2) of the untouched gel."""
-        return self._field(motion, motion.rest_px, positions_px)
-
-    def field_in_frame(self, motion: MembraneMotion, positions_px: Points2) -> MotionField:
-        """Motion since rest of the material that is at positions (k, 2) of the frame."""
-        return self._field(motion, motion.rest_px + motion.displacement_px, positions_px)
-
-    def _field(self, motion: MembraneMotion, places: Points2, at: Points2) -> MotionField:
         if not self.is_followable:
-            count = len(at)
-            return MotionField(np.zeros((count, 2)), np.zeros((count, 2, 2)), np.zeros(count, np.int64))
-        weights = _weights(at, places, self._reach_px)
-        moved, gradient = _affine_fit(weights, places, motion.displacement_px, at, self._reach_px)
-        return MotionField(moved, gradient, cKDTree(places).query(at)[1])
+            return _no_motion(len(positions_px))
+        places = motion.rest_px
+        weights = _weights(positions_px, places, self._reach_px)
+        sums = weights @ _terms(places, motion.displacement_px, self._reach_px)
+        moved, gradient = _affine_fit(sums, positions_px, self._reach_px)
+        return MotionField(moved, gradient, cKDTree(places).query(positions_px)[1])
+
+    def field_in_frame(self, motion: MembraneMotion) -> MotionField:
+        """Motion since rest of the material that is at the middles of the frame's `cells`."""
+        return self._field_of_cells(motion, motion.rest_px + motion.displacement_px)
+
+    def _field_of_cells(self, motion: MembraneMotion, places: Points2) -> MotionField:
+        """places: (n, 2), where the points are."""
+        middles = self.cells.middles_px
+        if not self.is_followable:
+            return _no_motion(len(middles))
+        terms = _terms(places, motion.displacement_px, self._reach_px)
+        # a Gaussian is that of the column times that of the row: no weight of each cell and point is needed
+        across = _weights(self.cells.columns_px[:, None], places[:, :1], self._reach_px)
+        down = _weights(self.cells.rows_px[:, None], places[:, 1:], self._reach_px)
+        by_column = across[..., None] * terms  # small products: BLAS takes no second thread to them
+        sums = (down @ by_column).transpose(1, 0, 2).reshape(len(middles), -1)
+        moved, gradient = _affine_fit(sums, middles, self._reach_px)
+        return MotionField(moved, gradient, cKDTree(places).query(middles)[1])
 
 
-def enlarged(values: FloatArray, cells: tuple[int, int], shape: tuple[int, ...]) -> Float32Array:
-    """Values (k, c) of rows and columns of cells, as maps (h, w, c)."""
+def _no_motion(count: int) -> MotionField:
+    return MotionField(np.zeros((count, 2)), np.zeros((count, 2, 2)), np.zeros(count, np.int64))
+
+
+def enlarged(values: FloatArray, cells: Cells, shape: tuple[int, ...]) -> Float32Array:
+    """Values (k, c) of cells, as maps (h, w, c)."""
     height, width = shape[:2]
-    laid = np.asarray(values, np.float32).reshape(*cells, -1)
+    laid = np.asarray(values, np.float32).reshape(len(cells.rows_px), len(cells.columns_px), -1)
     return np.asarray(cv2.resize(laid, (width, height), interpolation=cv2.INTER_LINEAR), np.float32)
 
 
@@ -222,26 +249,29 @@ def _lattice(shape: tuple[int, ...]) -> Points2:
     return np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
 
 
-def _weights(at: Points2, places: Points2, reach_px: float) -> FloatArray:
-    """(k, n): Gaussian in the distance of k from n places; far from all, the nearest still count."""
-    (u, v), (x, y) = at.T / reach_px, places.T / reach_px
-    squared = (u[:, None] - x) ** 2 + (v[:, None] - y) ** 2
+def _weights(at: FloatArray, places: FloatArray, reach_px: float) -> FloatArray:
+    """(k, n): Gaussian in the distance of at (k, d) from places (n, d); far from all, the nearest still
+    count."""
+    squared = sum((a[:, None] - b) ** 2 for a, b in zip(at.T / reach_px, places.T / reach_px, strict=True))
     return np.asarray(np.exp(-0.5 * (squared - squared.min(axis=1, keepdims=True, initial=np.inf))) + 1e-12)
 
 
-def _affine_fit(
-    weights: FloatArray, places: Points2, values: Points2, at: Points2, reach_px: float
-) -> tuple[Points2, FloatArray]:
-    """Affine functions fitted to values (n, 2) at places (n, 2), with weights (k, n) at each of k places.
+def _terms(places: Points2, values: Points2, reach_px: float) -> FloatArray:
+    """(n, 12): what sums of an affine fit to values (n, 2) at places (n, 2) are made of."""
+    x, y = places.T / reach_px
+    first, second = values.T
+    products = (np.ones_like(x), x, y, x * x, x * y, y * y)
+    return np.stack([*products, first, second, x * first, x * second, y * first, y * second], axis=1)
+
+
+def _affine_fit(sums: FloatArray, at: Points2, reach_px: float) -> tuple[Points2, FloatArray]:
+    """Affine functions of weighted sums (k, 12) of `_terms`, one at each of k places.
 
     Returns their values there, (k, 2), and their gradients, (k, 2, 2).
     """
-    x, y = places.T / reach_px
-    one = np.ones_like(x)
     own = at / reach_px
-    terms = np.stack([one, x, y])
-    design = np.stack([weights @ (a * b) for a in terms for b in terms], axis=1).reshape(-1, 3, 3)
-    right = np.stack([weights @ (a * b) for a in terms for b in values.T], axis=1).reshape(-1, 3, 2)
+    design = sums[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
+    right = sums[:, 6:].reshape(-1, 3, 2)
     shift = np.tile(np.eye(3), (len(at), 1, 1))  # to coordinates from each place
     shift[:, 1, 0], shift[:, 2, 0] = -own[:, 0], -own[:, 1]
     design = shift @ design @ shift.transpose(0, 2, 1)

@@ -34,20 +34,17 @@ def motion_over_picture(
     membrane: Membrane, motion: MembraneMotion, contact: Mask, pixel_mm: float
 ) -> GelMotion:
     """Spread the motion of a membrane's points over the picture. contact: (h, w)."""
-    places, cells = membrane.cells
-    field = membrane.field_in_frame(motion, places)
+    places, field = membrane.cells.middles_px, membrane.field_in_frame(motion)
     found, error = (
         values[field.nearest].astype(np.float64) if len(values) else np.zeros(len(places))
         for values in (motion.found, motion.error_px)
     )
-    # In the frame u(y) = y − X(y): the gradient by y becomes one by X.
-    gradient = np.linalg.inv(np.eye(2) - field.gradient) - np.eye(2)
-    stretch = np.linalg.det(np.eye(2) + gradient) - 1.0
-    turned = np.degrees(
-        np.arctan2(gradient[:, 1, 0] - gradient[:, 0, 1], 2.0 + gradient[:, 0, 0] + gradient[:, 1, 1])
-    )
+    # In the frame u(y) = y − X(y): of X by y, the inverse of y by X, which turns the other way
+    xx, xy, yx, yy = (np.eye(2) - field.gradient).reshape(-1, 4).T
+    stretch = 1.0 / (xx * yy - xy * yx) - 1.0
+    turned = np.degrees(np.arctan2(xy - yx, xx + yy))
     values = np.column_stack([pixel_mm * field.displacement_px, stretch, turned, pixel_mm * error, found])
-    maps = enlarged(values, cells, contact.shape)
+    maps = enlarged(values, membrane.cells, contact.shape)
     seen = maps[..., 5] > 0.5
     touched = (found > 0) & contact[np.round(places[:, 1]).astype(int), np.round(places[:, 0]).astype(int)]
     shear, twist = None, None

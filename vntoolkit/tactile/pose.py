@@ -23,12 +23,12 @@ import cv2
 import numpy as np
 from scipy.linalg import eigh
 
-from vntoolkit.arrays import Array, BoolArray, FloatArray, Mask, Normals, Points, Vector3
+from vntoolkit.arrays import Array, FloatArray, Mask, Normals, Points, Vector3
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.rigid import RigidTransform
 
 _SAMPLES = 1500  # pixels of a keyframe's contact: more refine nothing
-_STEPS, _SETTLED = 20, 1e-4  # Gauss–Newton steps; millimetres and radians
+_STEPS, _SETTLED = 20, 1e-3  # Gauss–Newton steps; share of the misfit that the last of them takes off
 _BLOCK_PX = 8  # errors within such a square go together: fits of the gel's colours bend so finely
 _FEWEST_BLOCKS = 6  # of a contact, to tell six directions
 _SHARED = 0.5  # of a contact that must be seen in the keyframe
@@ -37,6 +37,7 @@ _SMOOTH_PX = 1.0  # standard deviation of the blur of normals: noise of single p
 _RELIABLE = 0.5  # share of a direction's information that two frames agree on: the rest is noise
 _SOFT = 2.0  # standard deviations beyond which residuals count less (Cauchy's weight)
 _LEAST_NOISE = 1e-3  # of a normal: single precision and bytes leave no less
+_HERE = np.zeros(3)
 _NINE_OF_TEN = {2: 2.146, 3: 2.5}  # standard deviations that hold nine of ten lengths in plane and space
 
 
@@ -100,11 +101,13 @@ class _Keyframe(NamedTuple):
 
 
 class _View(NamedTuple):
-    """One frame as it is sampled. normals: (h, w, 3), smooth. more: (h, w, 2), depth, contact."""
+    """One frame as it is sampled. normals: (h, w, 3), smooth. more: (h, w, 2), depth, contact. size: pixels
+    of the contact."""
 
     normals: Array
     more: Array
     contact: Mask
+    size: int
 
 
 class _Aligned(NamedTuple):
@@ -135,12 +138,13 @@ class ObjectPose:
             return self._told(lost=True)
         if self._before is None:
             return self._begun(view)
-        chosen = max(range(len(self._keyframes)), key=lambda k: self._shared(self._keyframes[k], view))
-        if self._shared(self._keyframes[chosen], view) < _SHARED:
+        shared = [self._shared_now(key, view) for key in self._keyframes]
+        if max(shared) < _SHARED:
             self._keyframes.append(self._before)
-            chosen = len(self._keyframes) - 1
+            shared.append(self._shared_now(self._before, view))
+        chosen = int(np.argmax(shared))
         key = self._keyframes[chosen]
-        if self._shared(key, view) < _SHARED:
+        if shared[chosen] < _SHARED:
             return self._begun(view, lost=True)
         depth_error = 0.0 if touch.error_mm is None else float(np.median(touch.error_mm[view.contact]))
         aligned = self._aligned(key, view, self._pose @ key.pose.inverse(), depth_error / _NINE_OF_TEN[2])
@@ -205,22 +209,19 @@ class ObjectPose:
             blocks=_blocks_of(v, u),
             pose=self._pose,
             covariance=covariance,
-            size=int(np.count_nonzero(view.contact)),
+            size=view.size,
         )
 
-    def _seen(self, key: _Keyframe, view: _View, now: RigidTransform, off_mm: Array) -> FloatArray:
+    def _seen(self, key: _Keyframe, view: _View, now: RigidTransform, off_mm: Array = _HERE) -> FloatArray:
         """What the frame shows, (n, 5), where the samples of a keyframe are now, beside there by `off_mm`."""
-        places = now.apply(key.points + off_mm)[:, :2] / self._pixel_mm + self._centre_px
-        u, v = np.hsplit(places.astype(np.float32), 2)
+        places = now.apply(key.points + off_mm)[:, None, :2] / self._pixel_mm + self._centre_px
+        u, v = np.moveaxis(places.astype(np.float32), -1, 0)
         seen = [cv2.remap(each, u, v, cv2.INTER_LINEAR) for each in (view.normals, view.more)]
         return np.concatenate(seen, axis=-1)[:, 0].astype(np.float64)
 
-    def _shared(self, key: _Keyframe, view: _View, now_from_key: RigidTransform | None = None) -> float:
-        """The share of the smaller contact that both have; None for the pose of the frame before."""
-        now = self._pose @ key.pose.inverse() if now_from_key is None else now_from_key
-        inside = self._seen(key, view, now, np.zeros(3))[:, 4] > 0.5
-        smaller = min(key.size, int(np.count_nonzero(view.contact)))
-        return float(inside.mean()) * key.size / smaller
+    def _shared_now(self, key: _Keyframe, view: _View) -> float:
+        """The share of the smaller contact that both have, in the pose of the frame before."""
+        return _shared(key, view, self._seen(key, view, self._pose @ key.pose.inverse()))
 
     def _aligned(
         self, key: _Keyframe, view: _View, start: RigidTransform, depth_error_mm: float
@@ -228,21 +229,21 @@ class ObjectPose:
         """Align a frame to a keyframe; None where little of the contact ends up in common."""
         middle = key.points.mean(axis=0)
         radius = float(np.sqrt(((key.points - middle) ** 2).sum(axis=1).mean()))
-        design = _design(key, middle, radius)
-        now = start
+        design, depth_row = _design(key, middle, radius), _depth_row(key, middle, radius)
+        now, seen = start, self._seen(key, view, start)
         for _ in range(_STEPS):
-            residual, inside = self._residual(key, view, now)
-            weight = _weights(residual, inside)
+            residual, weight = _residual(key, seen, now)
             normal = _product(design, weight, design)
             right = _product(design, weight, residual)[:, 0]
-            step = _with_depth(key, middle, radius, normal, right, self._depth_off(key, view, now, weight))
+            step = _with_depth(normal, right, depth_row, _depth_off(key, seen, now, weight))
             now = now @ _motion(step, middle, radius)
-            if self._shared(key, view, now) < _SHARED / 2:  # half of what it began with
+            seen = self._seen(key, view, now)
+            if _shared(key, view, seen) < _SHARED / 2:  # half of what it began with
                 return None
-            if np.abs(step).max() < _SETTLED:
+            misfit = float(weight @ (residual**2).sum(axis=1))
+            if step[:5] @ right[:5] < _SETTLED * misfit:  # what noise alone moves takes off next to nothing
                 break
-        residual, inside = self._residual(key, view, now)
-        weight = _weights(residual, inside)
+        residual, weight = _residual(key, seen, now)
         agreed = self._agreement(key, view, now, design, weight, middle, radius)
         normal = _product(design, weight, design)[:5, :5]
         values, directions = eigh(agreed[:5, :5], normal + 1e-9 * np.trace(normal) * np.eye(5))
@@ -252,7 +253,7 @@ class ObjectPose:
         inverse = np.linalg.inv(directions)
         moved[:5] = directions[:, kept] @ (inverse[kept] @ moved[:5])
         now = start @ _motion(moved, middle, radius)
-        off = self._depth_off(key, view, now, weight)
+        off = _depth_off(key, self._seen(key, view, now), now, weight)
         along = np.zeros(6)
         along[5] = off / radius / float(np.average(key.normals[:, 2], weights=weight))
         now = now @ _motion(along, middle, radius)
@@ -268,18 +269,6 @@ class ObjectPose:
             unobservable=np.pad(unit[:, ~kept].T, ((0, 0), (0, 1))),
             information=values,
         )
-
-    def _residual(self, key: _Keyframe, view: _View, now: RigidTransform) -> tuple[FloatArray, BoolArray]:
-        """Normals now, turned back, less those of the keyframe, (n, 3); True where both are in contact."""
-        seen = self._seen(key, view, now, np.zeros(3))
-        return seen[:, :3] @ now.rotation - key.normals, seen[:, 4] > 0.5
-
-    def _depth_off(self, key: _Keyframe, view: _View, now: RigidTransform, weight: FloatArray) -> float:
-        """By how many mm the surface now, carried back, lies along the keyframe's normals, weighted mean."""
-        seen = self._seen(key, view, now, np.zeros(3))[:, 3]
-        there = np.column_stack([now.apply(key.points)[:, :2], seen])
-        off = ((now.inverse().apply(there) - key.points) * key.normals).sum(axis=1)
-        return float(np.average(off, weights=weight))
 
     def _agreement(
         self,
@@ -322,7 +311,8 @@ class ObjectPose:
 def _view(touch: Touched) -> _View:
     normals = cv2.GaussianBlur(np.asarray(touch.normals, np.float32), (0, 0), _SMOOTH_PX)
     more = np.stack([touch.depth_mm, touch.contact], axis=-1).astype(np.float32)
-    return _View(normals, more, np.asarray(touch.contact))
+    contact = np.asarray(touch.contact)
+    return _View(normals, more, contact, int(np.count_nonzero(contact)))
 
 
 def _blocks_of(rows: Array, columns: Array) -> Array:
@@ -346,22 +336,39 @@ def _product(first: FloatArray, weight: FloatArray, second: FloatArray) -> Float
     return np.asarray(flat.T @ second.reshape(len(flat), -1))
 
 
-def _weights(residual: FloatArray, inside: BoolArray) -> FloatArray:
-    """(n,) of Cauchy's likelihood over the variance, by the residuals themselves; 0 outside the contact."""
+def _shared(key: _Keyframe, view: _View, seen: FloatArray) -> float:
+    """The share of the smaller contact that keyframe and frame both have."""
+    return float((seen[:, 4] > 0.5).mean()) * key.size / min(key.size, view.size)
+
+
+def _residual(key: _Keyframe, seen: FloatArray, now: RigidTransform) -> tuple[FloatArray, FloatArray]:
+    """Normals now, turned back, less those of the keyframe, (n, 3), and their weights (n,).
+
+    These are of Cauchy's likelihood over the variance, by the residuals themselves; 0 outside the contact.
+    """
+    residual, inside = seen[:, :3] @ now.rotation - key.normals, seen[:, 4] > 0.5
     length = np.linalg.norm(residual, axis=1)
     scale = max(float(np.median(length[inside])) if inside.any() else 0.0, _LEAST_NOISE)
-    return np.asarray(inside / scale**2 / (1.0 + (length / (_SOFT * scale)) ** 2))
+    return residual, inside / scale**2 / (1.0 + (length / (_SOFT * scale)) ** 2)
 
 
-def _with_depth(
-    key: _Keyframe, middle: Vector3, radius: float, normal: FloatArray, right: FloatArray, off_mm: float
-) -> FloatArray:
+def _depth_off(key: _Keyframe, seen: FloatArray, now: RigidTransform, weight: FloatArray) -> float:
+    """By how many mm the surface now lies along the keyframe's normals, turned along, weighted mean."""
+    off = seen[:, 3] - key.points @ now.rotation[2] - now.translation[2]
+    return float(weight @ (off * (key.normals @ now.rotation[2])) / weight.sum())
+
+
+def _depth_row(key: _Keyframe, middle: Vector3, radius: float) -> FloatArray:
+    """(6,): by how many mm the surface moves along its normals, mean, by ω and τ as in `_design`."""
+    torque = np.cross(key.points - middle, key.normals).mean(axis=0)
+    return np.concatenate([torque, radius * key.normals.mean(axis=0)])
+
+
+def _with_depth(normal: FloatArray, right: FloatArray, depth_row: FloatArray, off_mm: float) -> FloatArray:
     """The step (6,): five directions by the normals, the sixth by what is then left of the depth."""
     damped = normal[:5, :5] + 1e-6 * np.trace(normal[:5, :5]) * np.eye(5)
     step = np.append(np.linalg.solve(damped, right[:5]), 0.0)
-    points, normals = key.points - middle, key.normals
-    moved = (np.cross(step[:3], points) + radius * step[3:]) * normals
-    step[5] = (off_mm - float(moved.sum(axis=1).mean())) / (radius * float(normals[:, 2].mean()))
+    step[5] = (off_mm - depth_row @ step) / depth_row[5]
     return step
 
 

@@ -4,6 +4,7 @@ The messages are sensor_msgs/msg/Image and CompressedImage of ROS 2. They are co
 log times, which are kept.
 """
 
+import os
 from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
@@ -20,6 +21,8 @@ from vntoolkit.libraries import require_installed
 
 _SCHEMAS = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 _NS = 1_000_000_000
+_MAGIC = b"\x89MCAP0\r\n"  # the first and the last bytes of a recording
+_RECOVER = "run `mcap recover FILE -o WHOLE.mcap`, and give what it writes"
 
 
 class RecordingReader:
@@ -28,6 +31,7 @@ class RecordingReader:
     def __init__(self, path: Path, topic: str, options: CaptureOptions) -> None:
         require_installed("mcap_ros2", "'vntoolkit[mcap]'", "MCAP recordings are read by mcap-ros2-support")
         self.path = require_file(path, BadCapture)
+        _require_whole(self.path)
         self._options = options
         self.topic = self._camera_topic(topic)
         first = next(self._messages(0), None)
@@ -130,7 +134,24 @@ class RecordingReader:
     def _damaged(self, reason: object) -> BadCapture:
         why = " ".join(str(reason).split()) or type(reason).__name__
         return BadCapture(
-            f"{self.path}: cannot be read ({why:.80}); `mcap recover` saves a cut-off recording"
+            f"{self.path}: is damaged between its beginning and its end ({why:.80}); {_RECOVER}"
+        )
+
+
+def _require_whole(path: Path) -> None:
+    """Raise `BadCapture` for a file that is no recording, and for one that was cut off."""
+    with path.open("rb") as stream:
+        first, size = stream.read(len(_MAGIC)), stream.seek(0, os.SEEK_END)
+        stream.seek(max(size - len(_MAGIC), 0))
+        last = stream.read()
+    if first != _MAGIC:
+        raise BadCapture(
+            f"{path}: expected an MCAP recording, which begins with {_MAGIC!r}; this file begins with "
+            f"{first!r}: name a recording"
+        )
+    if last != _MAGIC or size < 2 * len(_MAGIC):
+        raise BadCapture(
+            f"{path}: ends early, after {size} bytes, without the mark that ends a recording; {_RECOVER}"
         )
 
 

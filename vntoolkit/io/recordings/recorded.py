@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from vntoolkit.arrays import ByteArray, Mask
+from vntoolkit.arrays import ByteArray, Float32Array, Mask
 from vntoolkit.geometry.maps import DepthMap, NormalMap
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.rigid import RigidTransform
@@ -22,7 +22,8 @@ class RecordedFrame:
     """What is known of a frame; None for what is not.
 
     time_s: from the first frame. stamp: of the picture in its recording. picture: (h, w, 3) sRGB.
-    contact_mm2, contact_depth_mm: of `contact`. mesh: in the axes and lengths of files. object_from_first:
+    contact_mm2, contact_depth_mm: of `contact`. moved_px: (h, w, 2), motion of a gel's material, NaN where it
+    is lost. mesh: in the axes and lengths of files. object_from_first:
     motion of what touches a gel since its contact began, in the axes and lengths of the mesh.
     """
 
@@ -35,5 +36,6 @@ class RecordedFrame:
     contact: Mask | None = None
     contact_mm2: float | None = None
     contact_depth_mm: float | None = None
+    moved_px: Float32Array | None = None
     mesh: Mesh | None = None
     object_from_first: RigidTransform | None = None

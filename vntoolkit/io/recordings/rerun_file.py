@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from vntoolkit.arrays import Float32Array
 from vntoolkit.display import picture_of_normals
 from vntoolkit.geometry.maps import LengthUnit
 from vntoolkit.geometry.mesh import Mesh
@@ -16,6 +17,7 @@ from vntoolkit.options.export import MeshUpAxis
 
 _AXES = {MeshUpAxis.Y: "RUB", MeshUpAxis.Z: "RFU"}  # what x, y and z of the files point to
 _JPEG_QUALITY = 90
+_ARROW_PX = 12  # between arrows
 _IN_SPACE = ("surface", "object")
 _PLOTS = ("contact_mm2", "contact_depth_mm")
 
@@ -24,9 +26,9 @@ def write_rrd(path: Path | str, frames: Iterable[RecordedFrame], up: MeshUpAxis 
     """Write frames, in order, atomically: timelines `time` (seconds) and `frame`. Returns their number.
 
     `picture` and `normals` (x right, y up, z towards the viewer, as colours) are images, `depth` a depth
-    image, `error_deg` a grey one, `contact` a segmentation; `surface` is the mesh and `object` the motion of
-    what touches a gel; `contact_mm2` and `contact_depth_mm` are plotted. Invalid normals are white, invalid
-    depths and errors NaN.
+    image, `error_deg` a grey one, `contact` a segmentation, `picture/motion` arrows of a gel's material;
+    `surface` is the mesh and `object` the motion of what touches a gel; `contact_mm2` and `contact_depth_mm`
+    are plotted. Invalid normals are white, invalid depths and errors NaN.
     """
     require_installed("rerun", "'vntoolkit[rerun]'", "Rerun's recordings are written by rerun-sdk")
     import rerun as rr
@@ -69,11 +71,22 @@ def _entities(rr: Any, frame: RecordedFrame) -> Iterator[tuple[str, Any]]:
         yield "depth", rr.DepthImage(known, meter=meter, depth_range=span)
     if frame.contact is not None:
         yield "contact", rr.SegmentationImage(frame.contact.astype(np.uint8))
+    if frame.moved_px is not None:
+        yield "picture/motion", _arrows(rr, frame.moved_px)
     for name in _PLOTS:
         if (value := getattr(frame, name)) is not None:
             yield name, rr.Scalars(value)
     if pose is not None:
         yield "object", rr.Transform3D(translation=pose.translation, mat3x3=pose.rotation)
+
+
+def _arrows(rr: Any, moved_px: Float32Array) -> Any:
+    """Motion (h, w, 2), in its true length, from where the material was."""
+    half = _ARROW_PX // 2
+    some = moved_px[half::_ARROW_PX, half::_ARROW_PX]
+    v, u = np.nonzero(np.isfinite(some).all(axis=-1))
+    ends = _ARROW_PX * np.column_stack([u, v]) + half
+    return rr.Arrows2D(origins=ends - some[v, u], vectors=some[v, u])
 
 
 def _surface(rr: Any, mesh: Mesh, is_known: bool) -> Any:
@@ -95,7 +108,8 @@ def _blueprint(names: list[str]) -> Any:
 
     space = [name for name in names if name in _IN_SPACE]
     plots = [name for name in names if name in _PLOTS]
-    flat = [rrb.Spatial2DView(origin=name, name=name) for name in names if name not in (*space, *plots)]
+    maps = [name for name in names if name not in (*space, *plots) and "/" not in name]
+    flat = [rrb.Spatial2DView(origin=name, name=name) for name in maps]
     views: list[Any] = [rrb.Spatial3DView(origin="/", contents=space, name="surface")] if space else []
     views += [rrb.TimeSeriesView(origin="/", contents=plots, name="contact")] if plots else []
     return rrb.Blueprint(rrb.Horizontal(rrb.Grid(*flat), rrb.Vertical(*views)) if views else rrb.Grid(*flat))

@@ -328,7 +328,7 @@ function draw() {  // soon, but no more often than the budget allows
   if (gl && !timer) timer = setTimeout(() => { timer = 0; if (busy) draw(); else paint(); }, Math.max(0, started + period() - now()));
 }
 const CAPTIONS = {
-  depth: "depth, as relief", materials: "materials, each in a colour of its own", shadows: "lights that arrive: white all, dark none", camera: "camera (clipped pixels in magenta)",
+  depth: "depth, as relief", dents: "depth below the gel at rest", materials: "materials, each in a colour of its own", shadows: "lights that arrive: white all, dark none", camera: "camera (clipped pixels in magenta)",
 };
 function paintPicture(name, image) {
   if (!$(name)) {
