@@ -2,7 +2,7 @@
 
     python recipes/gallery.py --out docs/img [--quick]        # 6 min of processor time, --quick 1 min
 
-gel.jpg: touches of a tactile gel, their normals, and the depth in millimetres with the contact's outline.
+gel.jpg: touches of a tactile gel, their normals, and the depth in millimetres.
 face.jpg: a face in make-up as captured, its normals, relief, and the mesh from the side.
 compared.jpg: that face, and the errors of two methods: inversion of M alone, and `reconstruct`.
 materials.jpg: a sweater with a printed logo, its materials, and normals without and with them.
@@ -23,20 +23,19 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from PIL import Image
 
 import vntoolkit as vt
-from vntoolkit.arrays import FloatArray
 from vntoolkit.evaluation.angular_error import angular_error_map
-from vntoolkit.geometry.maps import NormalMap
+from vntoolkit.geometry.maps import DepthMap, NormalMap
 from vntoolkit.io.atomic import write_bytes
 from vntoolkit.io.footage.image_writing import encoded_image, resized_image
 from vntoolkit.io.footage.video import write_video
 from vntoolkit.io.maps_and_meshes.maps import read_normal_map
 from vntoolkit.pipeline.checkerboard import write_checkerboard
 from vntoolkit.pipeline.opened_result import OpenedResult
+from vntoolkit.report.dents import picture_of_dents
 from vntoolkit.report.mesh_views import View, picture_of
 from vntoolkit.report.pictures import (
     ErrorScale,
@@ -52,7 +51,7 @@ from vntoolkit.report.pictures import (
 WIDTH_PX = 1400
 TURNED_DEG = 35.0
 WALK = Path(__file__).parents[1] / "data" / "walk.bvh"
-DEEPEST_MM = 1.0
+DEEPEST_MM = 1.0  # of the scale
 LIVE_HZ = 2.0  # slow enough for the page to open
 BROWSER_FLAGS = ["--no-sandbox", "--disable-gpu", "--enable-unsafe-swiftshader"]
 
@@ -86,25 +85,15 @@ def gel(out: Path, work: Path) -> None:
     for frame in vt.open_capture(work / "touch" / "capture.mkv").encoded_frames():
         touch = device(frame.values)
         everywhere = NormalMap(normals_in_camera=touch.normals, mask=np.ones(touch.contact.shape, bool))
-        depth = coloured_depth(touch.depth_mm, touch.contact, f"{abs(touch.deepest_mm):.2f} mm")
+        depth = DepthMap(depth=0.001 * touch.depth_mm, mask=everywhere.mask)
         rows.append(
             {
                 "captured": frame.values,
                 "normals": picture_of_normals(everywhere),
-                "depth, deepest point": depth,
+                "depth below the gel at rest": picture_of_dents(depth, DEEPEST_MM),
             }
         )
     write_picture(out / "gel.jpg", rows)
-
-
-def coloured_depth(depth_mm: FloatArray, contact: np.ndarray, words: str) -> Picture:
-    """Return depth as colour, yellow at rest and violet at DEEPEST_MM; the contact's outline is white."""
-    share = np.clip(1 + depth_mm / DEEPEST_MM, 0, 1)
-    bgr = cv2.applyColorMap((255 * share).astype(np.uint8), cv2.COLORMAP_VIRIDIS)
-    outlines, _ = cv2.findContours(contact.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    cv2.drawContours(bgr, outlines, -1, (255, 255, 255), 1)
-    cv2.putText(bgr, words, (8, 24), cv2.FONT_HERSHEY_SIMPLEX, 0.7, (0, 0, 0), 1, cv2.LINE_AA)
-    return np.ascontiguousarray(bgr[..., ::-1])
 
 
 def face(out: Path, work: Path, size: str) -> None:
