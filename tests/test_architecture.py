@@ -94,7 +94,7 @@ LINES = {
     "report": 3190,
     "shadows": 2340,
     "simulation": 3540,
-    "skinning": 2050,
+    "skinning": 2060,
     "tactile": 2150,
     "tracking": 3290,
 }

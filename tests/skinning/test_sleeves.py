@@ -61,6 +61,18 @@ def test_sleeves_are_found_where_they_are(sheet: MeshSequence) -> None:
     assert y[regions.trunk].min() > min(s.armpit[1] for s in regions.sleeves) - 0.01
 
 
+def test_a_gap_at_the_collar_makes_no_trousers_of_a_sweater(sheet: MeshSequence) -> None:
+    garment = sheet.template
+    x, y, _ = garment.vertices.T
+    height = np.ptp(y)
+    open_collar = (np.abs(x) < 0.06) & (np.abs(y - y.min() - 0.1 * height) < 0.05 * height)
+    faces = garment.faces[~open_collar[garment.faces].any(axis=1)]
+    assert len(faces) < len(garment.faces)
+    regions = regions_of_garment(Mesh(vertices=garment.vertices, faces=faces))
+    assert regions.hems is None
+    assert sorted(sleeve.side for sleeve in regions.sleeves) == [-1, 1]
+
+
 def test_a_vest_and_trousers_have_no_sleeves() -> None:
     x, y = np.meshgrid(np.arange(-0.25, 0.25, 0.01), np.arange(0, 0.6, 0.01))
     index = np.arange(x.size).reshape(x.shape)

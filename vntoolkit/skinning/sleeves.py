@@ -101,18 +101,20 @@ class GarmentRegions:
 
 
 def regions_of_garment(garment: Mesh) -> GarmentRegions:
-    """Find the sleeves of a garment seen from the front (x right, y down, z away), its trunk, or its legs."""
+    """Find the sleeves of a garment seen from the front (x right, y down, z away), its trunk, or its legs.
+
+    What has sleeves is not asked for legs: between the front and the back of a collar, too, lies a gap.
+    """
     vertices = np.asarray(garment.vertices, dtype=np.float64)
     nothing = GarmentRegions(sleeves=(), trunk=np.zeros(len(vertices), dtype=bool))
     if len(garment.faces) < 2 or not np.ptp(vertices[:, :2], axis=0).min() > 0:
         return nothing
     outline = _outline_of(vertices, garment)
-    crotch = _crotch(outline.mask)
-    if crotch is not None:
-        return replace(nothing, hems=_hems(vertices, outline.cells(vertices)[:, 0] > crotch))
     found = [sleeve for armpit in _armpits(outline.mask) if (sleeve := _sleeve(outline, armpit)) is not None]
     if not found:
-        return nothing
+        crotch = _crotch(outline.mask)
+        is_left = outline.cells(vertices)[:, 0] > (crotch or 0)
+        return nothing if crotch is None else replace(nothing, hems=_hems(vertices, is_left))
     cells = outline.cells(vertices)
     sleeves = tuple(_measured(outline, cells, *parts) for parts in found)
     trunk = np.ones(len(vertices), dtype=bool)
