@@ -16,14 +16,16 @@ from IPython.core.interactiveshell import InteractiveShell
 from IPython.utils.capture import capture_output
 
 shell = InteractiveShell.instance(history_length=0)
+formatter = shell.display_formatter
+formatter.active_types = formatter.format_types
 for cell in nbformat.read(sys.argv[1], as_version=4).cells:
     if cell.cell_type == "code":
         with capture_output() as captured:
             done = shell.run_cell(cell.source)
         print(captured.stdout, captured.stderr)
         done.raise_error()
-        for output in captured.outputs:
-            print(output.data.get("text/html", ""))
+        for shown in [formatter.format(done.result)[0], *(output.data for output in captured.outputs)]:
+            print(shown.get("text/html", ""))
 """
 
 
