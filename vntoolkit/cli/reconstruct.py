@@ -137,7 +137,7 @@ def _report(summary: ReconstructionSummary) -> None:
         if not record.shows_nothing:  # these are told together
             say(f"skipped frame {record.number}: {record.failure}")
     resumed = f", {summary.resumed} from before" if summary.resumed else ""
-    rate = f" ({summary.done / summary.seconds:.1f} frames/s)" if summary.done > 1 else ""
+    rate = f" ({summary.done / summary.seconds:.3g} frames/s)" if summary.done > 1 else ""
     total = summary.frames + summary.lost
     say(f"{summary.folder}: {summary.done} of {total} frames done{resumed}{rate}")
     if summary.found_lamps:
