@@ -113,8 +113,9 @@ def regions_of_garment(garment: Mesh) -> GarmentRegions:
     found = [sleeve for armpit in _armpits(outline.mask) if (sleeve := _sleeve(outline, armpit)) is not None]
     if not found:
         crotch = _crotch(outline.mask)
-        is_left = outline.cells(vertices)[:, 0] > (crotch or 0)
-        return nothing if crotch is None else replace(nothing, hems=_hems(vertices, is_left))
+        if crotch is None:
+            return nothing
+        return replace(nothing, hems=_hems(vertices, outline.cells(vertices)[:, 0] > crotch))
     cells = outline.cells(vertices)
     sleeves = tuple(_measured(outline, cells, *parts) for parts in found)
     trunk = np.ones(len(vertices), dtype=bool)

@@ -28,8 +28,8 @@ def fit_shape(
 ) -> Mesh:
     """Search depths of evenly spread views about the hull, or a mesh, and fuse them.
 
-    contrasts: (h, w) local contrast of every view, 8 bits. Raises
-    `BadCalibration` where hardly two views agree on a depth.
+    contrasts: (h, w) local contrast of every view, 8 bits. Raises `BadCalibration` where hardly two views
+    agree on a depth.
     """
     references = spread_over_turn(views, steps.references)
     mesh = mesh_of_grid(hull) if about is None else about

@@ -146,8 +146,8 @@ def _require_whole(path: Path) -> None:
         last = stream.read()
     if first != _MAGIC:
         raise BadCapture(
-            f"{path}: expected an MCAP recording, which begins with {_MAGIC!r}; this file begins with "
-            f"{first!r}: name a recording"
+            f"{path}: expected an MCAP recording, got a file whose first bytes are not those of one; give "
+            "the file that the recorder wrote, or copy it again"
         )
     if last != _MAGIC or size < 2 * len(_MAGIC):
         raise BadCapture(
