@@ -174,16 +174,9 @@ def scene_page(title: str, mode: str, setup: Mapping[str, Any]) -> str:
 
 def page_from_template(template: str, *, script: str, title: str, setup: Mapping[str, Any]) -> str:
     """Return a page as HTML, script and style inside. setup: what template and script must know."""
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-
-    environment = Environment(
-        loader=PackageLoader("vntoolkit.report"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-    )
     data = json.dumps(dict(setup), separators=(",", ":"))
-    return environment.get_template(template).render(
+    return rendered(
+        template,
         **{
             **setup,
             "title": title,
@@ -191,8 +184,22 @@ def page_from_template(template: str, *, script: str, title: str, setup: Mapping
             "style": scene_text("scene.css"),
             "script": scene_text(script),
             "policy": content_policy(script) if setup["mode"] == "file" else None,
-        }
+        },
     )
+
+
+def rendered(template: str, **values: Any) -> str:
+    """Return a template of this folder with its values; all text is escaped."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    environment = Environment(
+        loader=PackageLoader("vntoolkit.report"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    return environment.get_template(template).render(**values)
 
 
 @cache

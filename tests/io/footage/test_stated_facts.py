@@ -14,7 +14,7 @@ from PIL import Image
 from tests.pipeline.conftest import RESPONSE, dome_light, to_normals
 from vntoolkit.__main__ import main
 from vntoolkit.errors import BadCapture
-from vntoolkit.io.footage import video
+from vntoolkit.io.footage import video_index
 from vntoolkit.io.footage.captures import CaptureOptions, open_capture
 from vntoolkit.io.footage.images import read_image
 from vntoolkit.io.footage.orientation import Orientation
@@ -298,9 +298,9 @@ def test_times_that_cannot_be_are_said_with_what_is_done_instead(tmp_path, caplo
 
 def test_falling_times_are_told_from_frames_that_are_stored_out_of_order():
     packets = [(9, True, None), (5, True, None), (0, True, None)]
-    assert video._wrong_with_times(packets) == "the file's times fall from one frame to the next"
+    assert video_index._wrong_with_times(packets) == "the file's times fall from one frame to the next"
     builds_on_later = [(0, True, None), (9, False, None), (5, False, None)]
-    assert video._wrong_with_times(builds_on_later) == ""
+    assert video_index._wrong_with_times(builds_on_later) == ""
 
 
 def test_the_rate_of_even_times_counts_not_the_headers(tmp_path):
