@@ -41,9 +41,9 @@ class Packet:
     def add(self, block: Array | bytes) -> int:
         """Add a block; return its place."""
         content = block if isinstance(block, bytes) else np.ascontiguousarray(block).tobytes()
-        place, room = self._size, -len(content) % 4
-        self._blocks += [content, b"\0" * room]
-        self._size += len(content) + room
+        place, padding = self._size, -len(content) % 4
+        self._blocks += [content, b"\0" * padding]
+        self._size += len(content) + padding
         return place
 
     def raw_picture(self, rgba: ByteArray) -> dict[str, Any]:
@@ -188,7 +188,7 @@ def page_from_template(template: str, *, script: str, title: str, setup: Mapping
     )
 
 
-def rendered(template: str, **values: Any) -> str:
+def rendered(name: str, /, **values: Any) -> str:
     """Return a template of this folder with its values; all text is escaped."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
@@ -199,7 +199,7 @@ def rendered(template: str, **values: Any) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    return environment.get_template(template).render(**values)
+    return environment.get_template(name).render(**values)
 
 
 @cache

@@ -159,21 +159,6 @@ def test_a_stated_curve_is_the_default(tmp_path, tag, curve):
     assert open_capture(tmp_path / "a.mkv", CaptureOptions(transfer=Transfer())).transfer == Transfer()
 
 
-def test_a_stated_curve_that_is_not_read_is_refused_by_name(tmp_path):
-    film(tmp_path / "a.mkv", _levels(2), "libx264", "yuv444p", context={"color_trc": 17})
-    with pytest.raises(BadCapture, match="states the transfer curve smpte428, which is not read"):
-        open_capture(tmp_path / "a.mkv")
-
-
-def test_stills_state_curves_too(tmp_path):
-    exif = Image.Exif()
-    exif.get_ifd(0x8769)[0xA001] = 1
-    Image.fromarray(_arrow()).save(tmp_path / "a.jpg", exif=exif)
-    assert open_capture(tmp_path / "a.jpg").transfer == Transfer.from_text("srgb")
-    Image.fromarray(_arrow()).save(tmp_path / "b.png")
-    assert open_capture(tmp_path / "b.png").info.stated_transfer == ""
-
-
 def test_camera_logs_read_codes_whatever_the_range(tmp_path):
     """A grey card in S-Log3 is code 420 of 1023, in a file of limited and in one of full range."""
     grey = 0.18 * Transfer.from_text("slog3").diffuse_white
@@ -248,12 +233,6 @@ def test_a_few_pixels_in_a_vast_exr_window_are_refused(tmp_path):
     OpenEXR.File(header, values).write(str(tmp_path / "a.exr"))
     with pytest.raises(BadCapture, match="its 8×6 pixels lie in a picture of 10000×6"):
         read_image(tmp_path / "a.exr")
-
-
-def test_a_tiff_that_is_a_mosaic_is_refused(tmp_path):
-    tifffile.imwrite(tmp_path / "a.tif", np.zeros((6, 8), np.uint16), photometric="cfa", metadata=None)
-    with pytest.raises(BadCapture, match="is stored as a Bayer mosaic"):
-        read_image(tmp_path / "a.tif")
 
 
 # Times.
