@@ -394,15 +394,7 @@ def _neighbour_sums(weights: Row, row: Row, out: Row) -> None:
 
 @njit(cache=True, fastmath=True, error_model="numpy")
 def _solve_row(
-    edges: Grid,
-    inverse: Grid,
-    spans: Places,
-    right: Grid,
-    x: Grid,
-    v: int,
-    first: int,
-    known: Row,
-    neighbours: Row,
+    edges: Grid, inverse: Grid, spans: Places, right: Grid, x: Grid, v: int, first: int, known: Row, sums: Row
 ) -> None:
     """Solve the pixels of one row whose column is even (first = 0) or odd (1), then the others."""
     a, b = spans[v]
@@ -412,19 +404,19 @@ def _solve_row(
     _gather_rows(edges, x, v, a, b, known[: b - a])
     for k in range(2):
         parity = first ^ k
-        _neighbour_sums(weights, row, neighbours[: b - a])
+        _neighbour_sums(weights, row, sums[: b - a])
         for u in range(len(row)):
-            row[u] = (known[u] + neighbours[u]) * scale[u] if (u & 1) == parity else row[u]
+            row[u] = (known[u] + sums[u]) * scale[u] if (u & 1) == parity else row[u]
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
 def sweep_kernel(edges: Grid, inverse: Grid, spans: Places, right: Grid, x: Grid, forward: bool) -> None:
     """One Gauss–Seidel sweep over the four colours; backward, the reverse of that."""
     h, w = x.shape
-    known, neighbours = np.empty(w, np.float32), np.empty(w, np.float32)
+    known, sums = np.empty(w, np.float32), np.empty(w, np.float32)
     for k in range(2):
         for v in range(k if forward else 1 - k, h, 2):
-            _solve_row(edges, inverse, spans, right, x, v, 0 if forward else 1, known, neighbours)
+            _solve_row(edges, inverse, spans, right, x, v, 0 if forward else 1, known, sums)
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
@@ -472,12 +464,12 @@ def _descend_rows(
     """`_descend` from row top, solved before where that is not 0, to end; what both halves touch is left."""
     h, w = x.shape
     scratch = _scratch(w)
-    known, neighbours = scratch[0], scratch[1]
+    known, sums = scratch[0], scratch[1]
     for v in range(top, end + 3, 2):
         if v < end and (v > top or top == 0):
-            _first_row(edges, inverse, spans, right, x, v, known, neighbours)
+            _first_row(edges, inverse, spans, right, x, v, known, sums)
         if top < v <= end:
-            _first_row(edges, inverse, spans, right, x, v - 1, known, neighbours)
+            _first_row(edges, inverse, spans, right, x, v - 1, known, sums)
         for i in range(max(v - 2, top), min(v, end)):
             if (i > top or top == 0) and (i < end - 1 or end == h):
                 _restrict_row(edges, shares, spans, x, i, coarse, scratch)
@@ -485,7 +477,7 @@ def _descend_rows(
 
 @njit(cache=True, fastmath=True, error_model="numpy")
 def _first_row(
-    edges: Grid, inverse: Grid, spans: Places, right: Grid, x: Grid, v: int, known: Row, neighbours: Row
+    edges: Grid, inverse: Grid, spans: Places, right: Grid, x: Grid, v: int, known: Row, sums: Row
 ) -> None:
     """`_solve_row` forward from 0, where even rows come first."""
     a, b = spans[v]
@@ -496,9 +488,9 @@ def _first_row(
         _gather_rows(edges, x, v, a, b, known[: b - a])
     for u in range(len(row)):
         row[u] = known[u] * scale[u]
-    _neighbour_sums(weights, row, neighbours[: b - a])
+    _neighbour_sums(weights, row, sums[: b - a])
     for u in range(len(row)):
-        row[u] += neighbours[u] * scale[u] if u & 1 else np.float32(0.0)
+        row[u] += sums[u] * scale[u] if u & 1 else np.float32(0.0)
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
