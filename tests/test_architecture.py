@@ -85,7 +85,7 @@ LINES = {
     "integration": 1950,
     "io": 8930,
     "live": 910,
-    "materials": 2920,
+    "materials": 2890,
     "meshing": 380,
     "normals": 1570,
     "options": 1710,

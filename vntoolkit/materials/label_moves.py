@@ -176,6 +176,7 @@ def _move(
     stride, size = max(side // 2, 1), side + 2 * _MARGIN_PX
     rows = max((h - size - 1) // stride, 0)
     strips = (rows + _STRIP - 1) // _STRIP
+    known = ambient, inverse, of_lengths, of_steps
     changes = np.zeros(max(strips, 1), np.int64)
     for first in range(2):
         for half in prange((strips - first + 1) // 2):
@@ -188,41 +189,13 @@ def _move(
                     if around == 0:
                         continue
                     top, left, best = v - _MARGIN_PX, u - _MARGIN_PX, -1
-                    least = _price(
-                        lit,
-                        s,
-                        mean,
-                        shade,
-                        top,
-                        left,
-                        top,
-                        left,
-                        size,
-                        ambient,
-                        inverse,
-                        of_lengths,
-                        of_steps,
-                    )
+                    least = _price(lit, s, mean, shade, top, left, top, left, size, *known)
                     least += _seam(labels, v, u, side, -1)
                     for m in range(len(rho)):
                         if (around >> m) & 1:
                             _mix(labels, s, mean, shade, rho, weights, v, u, side, m, new, new_shade)
                             price = _seam(labels, v, u, side, m)
-                            price += _price(
-                                lit,
-                                s,
-                                new,
-                                new_shade,
-                                top,
-                                left,
-                                0,
-                                0,
-                                size,
-                                ambient,
-                                inverse,
-                                of_lengths,
-                                of_steps,
-                            )
+                            price += _price(lit, s, new, new_shade, top, left, 0, 0, size, *known)
                             if price < least - _LEAST_GAIN:
                                 least, best = price, m
                     if best < 0:

@@ -110,10 +110,10 @@ class MaterialLabeller:
         labels = np.zeros(mask.shape, np.uint8)
         if len(self.reflectances) == 1 or not mask.any():
             return labels, state
-        measured, before = state.statistics, state.before
-        if before is None and measured is not None and measured.factor != block_size(mask):
-            measured = None
-        factor = block_size(mask) if measured is None else measured.factor
+        first, before = state.statistics, state.before
+        if before is None and first is not None and first.factor != block_size(mask):
+            first = None
+        factor = block_size(mask) if first is None else first.factor
         box = steady_box(mask, factor, None if before is None else before.box)
         inside = np.ascontiguousarray(mask[box])
         if self.leveller is None:
@@ -121,20 +121,20 @@ class MaterialLabeller:
         else:
             part = self.leveller.part_by_strength(frame, box)
         split = split_frame(
-            part, self.response, inside, like=None if measured is None else (measured.factor, measured.lamps)
+            part, self.response, inside, like=None if first is None else (first.factor, first.lamps)
         )
         cells, coarse = cells_of(split.colours), None
-        if measured is not None and before is not None and before.box == box:
-            coarse = self._carried(split, cells, measured, before)
+        if first is not None and before is not None and before.box == box:
+            coarse = self._carried(split, cells, first, before)
         if coarse is None:
-            coarse, measured, before = self._decided(split, measured, box, cells)
-        if coarse is None or measured is None or before is None:
+            coarse, first, before = self._decided(split, first, box, cells)
+        if coarse is None or first is None or before is None:
             return labels, replace(state, before=None)
-        found, measured = self._of_pixels(part, inside, split, coarse, measured)
+        found, first = self._of_pixels(part, inside, split, coarse, first)
         labels[box] = found * inside
         _take_blocks(labels[box], inside, split.factor, coarse)
         before = replace(before, labels=coarse, lit=split.lit, cells=cells)
-        return labels, replace(state, statistics=measured, before=before)
+        return labels, replace(state, statistics=first, before=before)
 
     def _of_pixels(
         self,
@@ -142,32 +142,30 @@ class MaterialLabeller:
         inside: Mask,
         split: SplitFrame,
         coarse: MaterialLabels,
-        measured: FrameStatistics,
+        first: FrameStatistics,
     ) -> tuple[MaterialLabels, FrameStatistics]:
         """Return labels of pixels from those of blocks, and the statistics with the seams of pixels."""
         if split.factor == 1:
-            return coarse, replace(measured, seams=measured.of_blocks)
+            return coarse, replace(first, seams=first.of_blocks)
         side, (h, w) = split.factor, inside.shape
         labels = np.ascontiguousarray(coarse.repeat(side, 0).repeat(side, 1)[:h, :w])
         near = near_seams(labels, MARGIN_PX + side - 1)
-        lamps = measured.lamps._replace(
-            mixing=measured.lamps.mixing * side, noise=measured.lamps.noise * side
-        )
-        known = lamps, self.reflectances, measured.spread
-        if measured.seams is not measured.of_blocks:
-            return LabelEnergy.of(part.rgb, inside, *known, measured.seams).followed(labels, near), measured
+        lamps = first.lamps._replace(mixing=first.lamps.mixing * side, noise=first.lamps.noise * side)
+        known = lamps, self.reflectances, first.spread
+        if first.seams is not first.of_blocks:
+            return LabelEnergy.of(part.rgb, inside, *known, first.seams).followed(labels, near), first
         found, energy = labels_and_energy(part.rgb, inside, labels, *known, near, near)
-        return found, replace(measured, seams=energy.seams)
+        return found, replace(first, seams=energy.seams)
 
     def _carried(
-        self, split: SplitFrame, cells: Float32Array, measured: FrameStatistics, before: _Before
+        self, split: SplitFrame, cells: Float32Array, first: FrameStatistics, before: _Before
     ) -> MaterialLabels | None:
         """Return labels of blocks from those of the frame before; None where these do not explain it."""
         blocks = blocks_moved(before.cells, cells)
         if blocks > _BESIDE or blocks_moved(before.whole, cells) > _AS_A_WHOLE:
             return None
         energy = LabelEnergy.of(
-            split.colours, split.lit, measured.lamps, self.reflectances, measured.spread, measured.of_blocks
+            split.colours, split.lit, first.lamps, self.reflectances, first.spread, first.of_blocks
         )  # fmt: skip
         doubtful = (energy.prices(before.labels) > before.doubtful) | (split.lit & ~before.lit)
         reach = min(int(np.ceil(2.0 * blocks)), _BESIDE)  # parts may have moved twice as far
@@ -179,25 +177,25 @@ class MaterialLabeller:
     def _decided(
         self,
         split: SplitFrame,
-        measured: FrameStatistics | None,
+        first: FrameStatistics | None,
         box: tuple[slice, slice],
         cells: Float32Array,
     ) -> tuple[MaterialLabels | None, FrameStatistics | None, _Before | None]:
         """Return labels of blocks, from those of regions; None where no region is lit."""
         regions, logs = regions_of(split), np.log(self.reflectances)
         if not regions.count:
-            return None, measured, None
+            return None, first, None
         lengths = lengths_of(regions, logs, split.lamps)
-        spread = _spread(lengths, logs, regions) if measured is None else measured.spread
+        spread = _spread(lengths, logs, regions) if first is None else first.spread
         costs = prices_of_regions(lengths, spread)
         of_regions = agreed(costs, logs, regions, SEAM_PRICE)
         found = of_regions[regions.labels].astype(np.uint8)
         doubtful = np.take_along_axis(costs, of_regions[:, None], 1)[:, 0] > _DOUBTFUL
         active = ~regions.plain | doubtful[regions.labels] | near_seams(found, _BESIDE)
         known = split.lamps, self.reflectances, spread
-        if measured is None:
+        if first is None:
             found, energy = labels_and_energy(split.colours, split.lit, found, *known, active)
-            measured = FrameStatistics(
+            first = FrameStatistics(
                 factor=split.factor,
                 lamps=split.lamps,
                 spread=spread,
@@ -205,14 +203,14 @@ class MaterialLabeller:
                 seams=energy.seams,
             )
         else:
-            energy = LabelEnergy.of(split.colours, split.lit, *known, measured.of_blocks)
+            energy = LabelEnergy.of(split.colours, split.lit, *known, first.of_blocks)
             found = energy.decided(found, active)
         paid = energy.prices(found)[split.lit]
         before = _Before(
             labels=found, lit=split.lit, box=box, cells=cells, whole=cells,
             doubtful=float(np.quantile(paid, 1.0 - _DOUBTFUL_SHARE)), mean_price=float(paid.mean()),
         )  # fmt: skip
-        return found, measured, before
+        return found, first, before
 
     def relit(
         self,
@@ -244,8 +242,8 @@ class MaterialLabeller:
 
         A small one shares the line of the largest that has one: skin and hair hold the same pigment.
         """
-        measured = state.statistics
-        like = None if measured is None else (measured.factor, measured.lamps)
+        first = state.statistics
+        like = None if first is None else (first.factor, first.lamps)
         split, logs = split_frame(frame, self.response, mask, like=like), np.log(self.reflectances)
         middle = split.factor // 2
         places = (

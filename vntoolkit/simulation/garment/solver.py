@@ -210,7 +210,7 @@ def _neighbourhood(faces: Faces, count: int, rings: int) -> IntArray:
 def project_edges(
     x: Points, edges: IntArray, rest: FloatArray, inverse_mass: float, compliance: float
 ) -> None:
-    """Bring every edge to its rest length; its compliance is over dt² (macklin2016)."""
+    """Bring every edge to its rest length. compliance: over dt² (macklin2016)."""
     share = inverse_mass / (2.0 * inverse_mass + compliance)
     count = len(edges)
     for sweep in range(2 * count):  # there and back, so that the order favours no direction
