@@ -114,7 +114,7 @@ def _widened(labels: VisibilityLabels, mask: Mask) -> VisibilityLabels:
     for k in range(3):
         bit = np.uint8(1 << k)
         wide[(cv2.dilate(missing & bit, _NEIGHBOURS) > 0) & mask] &= np.uint8(ALL_LIT - bit)
-    kept = (count_lit(labels) == 2) & (count_lit(wide) < 2)
+    kept = (count_lit(labels) >= 2) & (count_lit(wide) < 2)
     return np.where(kept, labels, wide).astype(np.uint8)
 
 
