@@ -11,6 +11,8 @@ _DARKEST = 1e-3  # of the albedo scale; keeps the logarithm finite
 _LEAST_TRUST = 1e-4  # weight of the coarser level where a pixel's block holds anything at all
 
 _FINEST_LEVEL = 3  # detail below 2³ pixels counts as shading, not as paint
+_OUTLIER = 0.3  # departure of a pixel's log albedo from its surroundings at which it counts half
+_ROUNDS = 2  # reweightings; a third changes nothing
 _MARGIN_PX = 1  # lit pixels this close to a shadow's edge do not count: penumbra darkens them
 
 
@@ -25,8 +27,16 @@ def albedo_from_lit(length: FloatArray, lit: Mask, factor: int = 1) -> FloatArra
     core = cv2.erode(lit.astype(np.uint8), np.ones((side, side), np.uint8)) > 0
     if not core.any():
         core = lit
+    logarithm = np.log(np.maximum(length, _DARKEST))
+    trust = core.astype(np.float32)
+    if not core.any():
+        return np.ones_like(logarithm, dtype=np.float32)
     finest = max(_FINEST_LEVEL - round(math.log2(factor)), 0)
-    return np.exp(fill_smoothly(np.log(np.maximum(length, _DARKEST)), core.astype(np.float32), finest))
+    filled = fill_smoothly(logarithm, trust, finest)
+    for _ in range(_ROUNDS):
+        trust = core / (1.0 + ((logarithm - filled) / _OUTLIER) ** 2)
+        filled = fill_smoothly(logarithm, trust, finest)
+    return np.exp(filled)
 
 
 # Values known on some pixels, spread smoothly over the rest (push–pull over an image pyramid).

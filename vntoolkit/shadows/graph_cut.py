@@ -1,6 +1,5 @@
 """Labels by a minimum cut: the cheapest labelling of pixels with evidence each and prices between them."""
 
-from typing import Any
 
 import numpy as np
 
@@ -8,6 +7,8 @@ from vntoolkit.arrays import BoolArray, Float64Array, FloatArray, Int32Array, In
 from vntoolkit.native import njit
 
 Nodes = Int32Array
+_WEAKEST_BOND = 0.05  # part of the full price that a change of label across a sharp edge still costs
+_DARK_COSINE = 0.03  # added to a cosine before its logarithm: noise is no edge
 _SHADOW, _LIT, _NOWHERE = -1, -2, -3  # what is no node: its label is known, or there is nothing
 
 
@@ -28,34 +29,16 @@ def lit_by_cut(
     A pixel whose evidence outweighs its four bonds has its label whatever its neighbours have; only the
     others enter the cut.
     """
-    given = np.asarray(evidence)
-    number: Nodes = np.empty(mask.shape, np.int32)
-    lit: BoolArray = np.empty(mask.shape, np.bool_)
-    count = _number_kernel(given, mask, 4.0 * strongest, number, lit)
+    given, most = np.asarray(evidence), 4.0 * strongest
+    number: Nodes = np.full(mask.shape, _NOWHERE, np.int32)
+    number[mask & (given >= most)], number[mask & (given < -most)] = _LIT, _SHADOW
+    free = mask & (given < most) & (given >= -most)
+    count = np.count_nonzero(free)
+    number[free] = np.arange(count, dtype=np.int32)
+    lit: BoolArray = number != _SHADOW
     if count:
         _cut_kernel(given, *bonds, number, count, lit)
     return lit
-
-
-@njit(cache=True)
-def _number_kernel(evidence: FloatArray, mask: Mask, most: Any, number: Nodes, lit: Mask) -> int:
-    """Number the pixels that the cut must decide, and label the others."""
-    h, w = mask.shape
-    count = 0
-    for v in range(h):
-        for u in range(w):
-            lit[v, u] = True
-            if not mask[v, u]:
-                number[v, u] = _NOWHERE
-            elif evidence[v, u] >= most:
-                number[v, u] = _LIT
-            elif evidence[v, u] < -most:
-                number[v, u] = _SHADOW
-                lit[v, u] = False
-            else:
-                number[v, u] = count
-                count += 1
-    return count
 
 
 @njit(cache=True)
@@ -173,3 +156,26 @@ def _drain(
             turn[i] += 1
         else:
             return
+
+
+def bonds_of_lights(
+    cosines: FloatArray, strength: float, contrast: float
+) -> list[tuple[FloatArray, FloatArray]]:
+    """Bonds of each light, which give way where it changes alone: paint and folds change the others too.
+
+    cosines: (h, w, 3). strength: full price. contrast: difference of log cosines, between a light and the
+    more similar of the other two, at which a bond falls to 1/e. Returns for each light the bonds to the east
+    and to the south (h, w).
+    """
+    logs = [np.log(np.maximum(cosines[..., k], np.float32(0)) + np.float32(_DARK_COSINE)) for k in range(3)]
+    # how each light's change from pixel to pixel differs from the next light's
+    apart = [logs[k] - logs[k - 2] for k in range(3)]
+
+    def between(axis: int) -> list[FloatArray]:
+        steps = [np.abs(np.diff(each, axis=axis)) for each in apart]
+        alone = [np.minimum(steps[k], steps[k - 1]) * np.float32(1.0 / contrast) for k in range(3)]
+        bonds = [strength * (_WEAKEST_BOND + (1.0 - _WEAKEST_BOND) * np.exp(-each * each)) for each in alone]
+        pad = ((0, 0), (0, 1)) if axis else ((0, 1), (0, 0))
+        return [np.pad(bond, pad) for bond in bonds]
+
+    return list(zip(between(1), between(0), strict=True))
