@@ -21,10 +21,17 @@ REMOVED: dict[str, str] = {
     "--picture-px": "was removed: leave it out; --most-frames and --vertices make the page smaller",
     "--picture-height": "was removed: leave it out; `vntoolkit view` shows pictures in full",
 }
+_CONSTANT = (
+    "albedo-tolerance steepest-slope-deg least-weight precision tolerance most-iterations depth-offset "
+    "shadow-share outlier-sigmas inlier-share tangential contact-share"
+)
 _OF_HEADS = (
     "corner-spacing-px window-px margin-px pose-tracks least-turn-deg hull-cells references stereo-window-px "
     "before behind least-correlation smoothing-px fusion-depth agreement confirmations hull-gap light-frames "
     "light-points light-draws light-inlier"
+)
+REMOVED |= dict.fromkeys(
+    (f"--{name}" for name in _CONSTANT.split()), "was removed: leave it out; its default is a constant now"
 )
 REMOVED |= dict.fromkeys(
     (f"--{name}" for name in _OF_HEADS.split()),
