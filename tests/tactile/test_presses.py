@@ -17,7 +17,7 @@ MATRIX = np.array([[0.4, 0.1, -0.42], [-0.2, 0.35, -0.45], [-0.15, -0.35, -0.5]]
 LEVEL = -MATRIX[:, 2]
 SHAPE = (120, 90)
 SIZE = (90, 120)
-OPTIONS = PressOptions(ball_radius_mm=2.4, pixel_mm=0.1, samples=200)
+OPTIONS = PressOptions(ball_radius_mm=2.4, pixel_mm=0.1)
 
 
 def true_normals(press: Press, radius_mm: float = 2.4) -> np.ndarray:

@@ -137,7 +137,7 @@ def _require_known(name: str, arguments: Any, named: dict[str, Any]) -> None:
     known = [field.name for field in _fields(arguments)]
     for given in named:
         if given not in known:
-            require_no_removed(f"--{given.replace('_', '-')}")
+            require_no_removed(name.partition("_")[0], f"--{given.replace('_', '-')}")
             close = difflib.get_close_matches(given, known, n=1)
             hint = f"; did you mean {close[0]}?" if close else ""
             raise BadInput(f"{name}: unknown option {given}{hint}")

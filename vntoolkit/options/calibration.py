@@ -83,8 +83,6 @@ class PressOptions(Options):
     """Radius of the ball; of several, of those presses that --ball-radii does not list."""
     pixel_mm: float | None = None
     """Side of a pixel on the gel. Default: what --corners and --size-mm tell of the picture as filmed."""
-    samples: int = 400
-    """Pixels drawn from a press's contact."""
     label_offset: Named[LabelOffset, Literal["common", "own", "none"]] = named(LabelOffset.COMMON)
     """Whether the circles move to their dents."""
 
@@ -98,5 +96,3 @@ class PressOptions(Options):
     def _require_valid(self) -> None:
         if not (0 < self.ball_radius_mm < np.inf and (self.pixel_mm is None or 0 < self.pixel_mm < np.inf)):
             raise BadInput("presses: expected a positive ball radius and pixel size in mm")
-        if self.samples < 4:
-            raise BadInput(f"presses: expected at least 4 samples a press, got {self.samples}")

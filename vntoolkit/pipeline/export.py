@@ -310,80 +310,66 @@ class FrameExport(ABC):
 
 
 class _Meshes(FrameExport):
-    """PLY, OBJ, STL or GLB a frame, of the frames' own meshes."""
+    """PLY, OBJ, STL or GLB a frame, of the registered surface where there is one, else of its own mesh."""
 
     made_from, needs = ("mesh",), "mesh"
-    is_tracked = False
-    offset: Vector3 = np.zeros(3)
 
     def __init__(self, result: OpenedResult, track: Tracks | None, options: ExportOptions) -> None:
         super().__init__(result, track, options)
-        self.suffix = f".{options.to.value}"
-
-    def mesh(self, number: int) -> Mesh:
-        """Return the mesh of a frame."""
-        return own_mesh(self.result, number, self.options, self.factor)
-
-    def material(self, out: Path) -> str | None:
-        """Return the name of the material that all frames share, of OBJ files with a texture."""
-        return None
-
-    def write(self, out: Path, number: int) -> None:
-        path, mesh = self.place(out, number), self.mesh(number)
-        if self.options.to is ExportFormat.GLB:
-            from vntoolkit.io.maps_and_meshes.glb import write_glb
-
-            rate = self.result.manifest.input.playing_rate_hz
-            camera = viewed_from(self.result.camera, self.offset)
-            write_glb(path, mesh, iter([mesh.vertices]), frame_rate_hz=rate, camera=camera)
-        else:
-            from vntoolkit.io.maps_and_meshes.meshes import write_mesh
-
-            write_mesh(path, mesh, up=self.options.up, material=self.material(out))
-
-
-class _TrackedMeshes(_Meshes):
-    """The same of the registered surface."""
-
-    is_tracked = True
-    _has_material = False
-
-    def __init__(self, result: OpenedResult, track: Tracks, options: ExportOptions) -> None:
-        super().__init__(result, track, options)
-        self._track, self.offset = track, offset_of(track, options, self.factor)
-        self._texture = texture_of_tracks(result.folder.root / "track")
-        self._template = with_captured_colours(track, self._texture)
+        self.suffix, self.is_tracked = f".{options.to.value}", track is not None
+        self._offset: Vector3 = np.zeros(3)
+        self._texture, self._has_material = None, False
+        if track is not None:
+            self._offset = offset_of(track, options, self.factor)
+            self._texture = texture_of_tracks(result.folder.root / "track")
+            self._template = with_captured_colours(track, self._texture)
 
     @property
     def facts(self) -> Mapping[str, Any]:
         """By how much the files' meshes were moved, and hence where the camera is in them."""
-        if not self.options.centre:
+        if self.track is None or not self.options.centre:
             return {}
-        return {"camera_position": graphics_from_camera(self.offset, self.options.up).round(9).tolist()}
+        return {"camera_position": graphics_from_camera(self._offset, self.options.up).round(9).tolist()}
 
     def numbers(self) -> tuple[int, ...]:
-        return numbers_with(self.result, self.needs, self._track)
+        return numbers_with(self.result, self.needs, self.track)
 
     def sources(self, number: int) -> list[Path]:
+        if self.track is None:
+            return super().sources(number)
         return [self.result.folder.root / "track" / "vertices.npy"]
 
-    def mesh(self, number: int) -> Mesh:
-        vertices = self._track.mesh(number).vertices * self.factor + self.offset
-        return replace(
-            self._template, vertices=vertices, normals=vertex_normals(vertices, self._template.faces)
-        )
+    def write(self, out: Path, number: int) -> None:
+        path, mesh = self.place(out, number), self._mesh(number)
+        if self.options.to is ExportFormat.GLB:
+            from vntoolkit.io.maps_and_meshes.glb import write_glb
 
-    def material(self, out: Path) -> str | None:
+            rate = self.result.manifest.input.playing_rate_hz
+            camera = viewed_from(self.result.camera, self._offset)
+            write_glb(path, mesh, iter([mesh.vertices]), frame_rate_hz=rate, camera=camera)
+        else:
+            from vntoolkit.io.maps_and_meshes.meshes import write_mesh
+
+            write_mesh(path, mesh, up=self.options.up, material=self._material(out))
+
+    def _mesh(self, number: int) -> Mesh:
+        if self.track is None:
+            return own_mesh(self.result, number, self.options, self.factor)
+        vertices = self.track.mesh(number).vertices * self.factor + self._offset
+        normals = vertex_normals(vertices, self._template.faces)
+        return replace(self._template, vertices=vertices, normals=normals)
+
+    def _material(self, out: Path) -> str | None:
+        """Return the name of the material that all frames share, of OBJ files with a texture."""
         if self._texture is None or self.options.to is not ExportFormat.OBJ:
             return None
-        path = out / _MATERIAL
         if not self._has_material:
             from vntoolkit.io.maps_and_meshes.meshes import write_material
 
-            beside = self._texture.beside(path)
-            write_material(path, beside.albedo, beside.normal)
+            beside = self._texture.beside(out / _MATERIAL)
+            write_material(out / _MATERIAL, beside.albedo, beside.normal)
             self._has_material = True
-        return path.name
+        return _MATERIAL
 
 
 class _PointClouds(FrameExport):
@@ -484,11 +470,9 @@ def frame_export(result: OpenedResult, track: Tracks | None, options: ExportOpti
         ExportFormat.DILIGENT: _Diligent,
     }
     if options.to in INSPECTED:
-        from vntoolkit.pipeline.export_inspection import inspection_of
+        from vntoolkit.pipeline.export_inspection import Inspected
 
-        return inspection_of(result, track, options)
-    if options.to not in kinds and track is not None:
-        return _TrackedMeshes(result, track, options)
+        return Inspected(result, track, options)
     return kinds.get(options.to, _Meshes)(result, track, options)
 
 

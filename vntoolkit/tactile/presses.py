@@ -15,6 +15,7 @@ from vntoolkit.errors import BadCalibration
 from vntoolkit.options.calibration import PressOptions
 from vntoolkit.tactile.circles import Press
 
+_SAMPLES = 400  # pixels drawn from a press's contact
 _UNTOUCHED_RADII = 3.3  # of the labelled contact: beyond it the gel lies flat, by half a radius to spare
 _FLAT_RADII = 2.8  # of the contact where it really is, which may be half a radius from its label
 CONTACT_SHARE = 0.8  # of the labelled contact radius, inside which the gel follows the ball
@@ -98,9 +99,9 @@ def samples_from_press(
     normals_of_press(press, options, shape)  # refuses a contact that the ball cannot have
     v, u = np.indices(shape)
     distance = np.hypot(u - press.u_px, v - press.v_px)
-    contact = _draw((distance < _DRAWN_RADII * press.radius_px) & usable, 2 * options.samples, rng)
+    contact = _draw((distance < _DRAWN_RADII * press.radius_px) & usable, 2 * _SAMPLES, rng)
     flat = (distance > _UNTOUCHED_RADII * press.radius_px) & usable
-    chosen = np.concatenate([contact, _draw(flat, round(_FLAT_SHARE * options.samples), rng)])
+    chosen = np.concatenate([contact, _draw(flat, round(_FLAT_SHARE * _SAMPLES), rng)])
     rows, columns = np.divmod(chosen, shape[1])
     return PressSamples(
         rgb=change[rows, columns].astype(np.float64),
