@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,7 +21,15 @@ from vntoolkit.io import atomic
 from vntoolkit.io.conventions import graphics_from_camera
 from vntoolkit.io.maps_and_meshes.maps import write_normal_map
 from vntoolkit.io.results.folder import FolderKind, begin_run, option_values, read_lock, write_lock
-from vntoolkit.options.export import INSPECTED, ExportedSurface, ExportFormat, ExportOptions, FileUnit
+from vntoolkit.options.export import (
+    INSPECTED,
+    CleanOptions,
+    ExportArguments,
+    ExportedSurface,
+    ExportFormat,
+    ExportOptions,
+    FileUnit,
+)
 from vntoolkit.pipeline.opened_result import OpenedResult, read_result
 from vntoolkit.pipeline.texture_files import texture_of_tracks, with_captured_colours
 
@@ -32,21 +40,6 @@ _MATERIAL = "surface.mtl"  # of all frames in a folder of OBJ files
 _LOGGER = logging.getLogger(__name__)
 _METRES_PER_PIXEL = 0.001  # shown, not measured: a 600-pixel subject opens 0.6 m tall in Blender
 _HEADROOM = 1.25  # of a light's picture over the brightest that the rig's material gets
-
-
-@dataclass(frozen=True, kw_only=True)
-class ExportJob:
-    """What to export. folder: of `reconstruct`. out: file or folder, None for folder/export/….
-
-    footage, background: for `diligent`, as for `read_result`.
-    """
-
-    folder: Path
-    options: ExportOptions
-    out: Path | None = None
-    frames: str | None = None
-    footage: str = ""
-    background: Path | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,22 +56,23 @@ class ExportSummary:
     is_tracked: bool | None = None
 
 
-def export(job: ExportJob, *, overwrite: bool = False) -> ExportSummary:
+def export(asked: ExportArguments) -> ExportSummary:
     """Export a reconstruction in another format.
 
     A single file appears when it is whole. In a folder every file does; the same command again goes on where
     it stopped, and writes again what has changed since. Raises `BadInput`.
     """
-    with read_lock(job.folder):
-        result = read_result(job.folder, frames=job.frames, footage=job.footage, background=job.background)
-        track = _track_of(result, job.options)
-        if job.options.to in (ExportFormat.RRD, ExportFormat.MCAP):
+    folder = Path(asked.folder)
+    with read_lock(folder):
+        result = read_result(folder, frames=asked.frames, footage=asked.footage, background=asked.background)
+        track = _track_of(result, asked)
+        if asked.to in (ExportFormat.RRD, ExportFormat.MCAP):
             from vntoolkit.pipeline.export_recordings import export_recording
 
-            return export_recording(job, result, track)
-        if job.options.to is ExportFormat.USD or (job.options.to is ExportFormat.GLB and track is not None):
-            return _export_animation(job, result, track)
-        return _export_folder(job, result, track, overwrite)
+            return export_recording(asked, asked.out, result, track)
+        if asked.to is ExportFormat.USD or (asked.to is ExportFormat.GLB and track is not None):
+            return _export_animation(asked, result, track)
+        return _export_folder(asked, result, track)
 
 
 def _track_of(result: OpenedResult, options: ExportOptions) -> Tracks | None:
@@ -91,10 +85,10 @@ def _track_of(result: OpenedResult, options: ExportOptions) -> Tracks | None:
     return result.track
 
 
-def _export_animation(job: ExportJob, result: OpenedResult, track: Tracks | None) -> ExportSummary:
-    options, filmed = job.options, result.manifest.input
+def _export_animation(options: ExportArguments, result: OpenedResult, track: Tracks | None) -> ExportSummary:
+    filmed = result.manifest.input
     suffix = ".glb" if options.to is ExportFormat.GLB else ".usdc"
-    out = job.out or result.folder.root / "export" / f"surface{suffix}"
+    out = options.out or result.folder.root / "export" / f"surface{suffix}"
     if out.suffix.lower() not in ((".glb",) if suffix == ".glb" else (".usdc", ".usd")):
         raise BadInput(f"{out}: expected the name of a file that ends in {suffix}")
     lengths = file_lengths(options, result.length_unit)
@@ -152,11 +146,9 @@ def viewed_from(camera: Camera, offset: Vector3) -> ViewedFrom | None:
     return ViewedFrom(camera=camera, position=offset, rotation=np.eye(3), offset=offset)
 
 
-def _export_folder(
-    job: ExportJob, result: OpenedResult, track: Tracks | None, overwrite: bool
-) -> ExportSummary:
-    out = job.out or result.folder.root / "export" / job.options.to.value
-    writer = frame_export(result, track, job.options)
+def _export_folder(asked: ExportArguments, result: OpenedResult, track: Tracks | None) -> ExportSummary:
+    writer = frame_export(result, track, asked)
+    out = asked.out or result.folder.root / "export" / ExportFormat(asked.to).value
     if out.suffix and out.suffix.lower() == writer.suffix:
         raise BadInput(f"{out}: expected the name of a folder, for one {writer.suffix} a frame")
     root = result.folder.root
@@ -164,11 +156,12 @@ def _export_folder(
     if out.resolve() == root.resolve():
         raise BadInput(f"{out}: is the result itself; choose another --out")
     numbers = writer.numbers()
-    untouched = ("cleaning",) if job.options.cleaning is None else ()
-    values = option_values(job.options, without=untouched)
+    cleans = [each.name for each in fields(CleanOptions)]
+    values = option_values(asked.part(ExportOptions), without=("clean", *cleans))
+    values |= {} if asked.cleaning is None else option_values(asked.cleaning, "cleaning.")
     record = {"version": 1, "options": values, "result_sha256": result.digest, **writer.facts}
     with write_lock(out):
-        begin_run(out, EXPORT, record, overwrite=overwrite)
+        begin_run(out, EXPORT, record, overwrite=asked.overwrite)
         kept = {number for number in numbers if writer.is_current(out, number)}
         progress.begin("export", len(numbers), len(kept))
         for number in numbers:
