@@ -76,7 +76,6 @@ if TYPE_CHECKING:
     from vntoolkit.options.reconstruction import ReconstructOptions as ReconstructOptions
     from vntoolkit.options.reconstruction import Product as Product
     from vntoolkit.options.reconstruction import MaterialSearch as MaterialSearch
-    from vntoolkit.options.reconstruction import DepthOffset as DepthOffset
     from vntoolkit.options.tracking import TrackingOptions as TrackingOptions
     from vntoolkit.options.tracking import Tracker as Tracker
     from vntoolkit.options.export import ExportFormat as ExportFormat
