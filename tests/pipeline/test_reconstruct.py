@@ -226,6 +226,14 @@ def test_the_run_tells_the_expected_error_and_warns_where_it_is_large(dome_captu
     assert any("the expected error of the normals" in finding.text for finding in kept)
 
 
+def test_a_distance_under_an_orthographic_camera_is_said_to_change_nothing(dome_capture, tmp_path) -> None:
+    job = job_of(dome_capture, tmp_path, distance_m=5.0)
+    reconstruct(job, frames=FrameRange.from_text("0:1"))
+    (said,) = [f.text for f in read_manifest(tmp_path).findings if "--distance" in f.text]
+    assert "changes nothing" in said
+    assert "--focal-px" in said
+
+
 def test_refusals(dome_capture: DomeCapture, tmp_path: Path) -> None:
     job = job_of(dome_capture, tmp_path)
     with pytest.raises(BadInput, match="jobs: expected 1 or more"):

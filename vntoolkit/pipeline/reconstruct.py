@@ -84,16 +84,17 @@ def reconstruct(
     """
     frames, started = frames or FrameRange(), time.perf_counter()
     progress.begin("prepare")
-    footage = _checked_footage(request, frames, jobs, scheduler)
-    with write_lock(request.folder.root), recorded_warnings() as warnings:
-        run = _begun(request, footage, frames, overwrite)
-        progress.begin(f"frames of {request.folder.root.name}", len(run.numbers), len(run.resumed))
-        for entry in run.missing:
-            run.log.append(entry)
-            progress.step()
-        made = _made_frames(run, jobs, scheduler)
-        seconds = time.perf_counter() - started
-        return _ended(run, footage, frames, made, warnings, seconds)
+    with recorded_warnings() as warnings:
+        footage = _checked_footage(request, frames, jobs, scheduler)
+        with write_lock(request.folder.root):
+            run = _begun(request, footage, frames, overwrite)
+            progress.begin(f"frames of {request.folder.root.name}", len(run.numbers), len(run.resumed))
+            for entry in run.missing:
+                run.log.append(entry)
+                progress.step()
+            made = _made_frames(run, jobs, scheduler)
+            seconds = time.perf_counter() - started
+            return _ended(run, footage, frames, made, warnings, seconds)
 
 
 def _checked_footage(request: Request, frames: FrameRange, jobs: int, scheduler: str | None) -> Footage:

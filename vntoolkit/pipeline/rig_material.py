@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 
-from vntoolkit.arrays import Mask
+from vntoolkit.arrays import FloatArray, Mask
 from vntoolkit.errors import BadCapture, BadInput
 from vntoolkit.normals.inversion import relative_albedo_from_frame
 from vntoolkit.options.reconstruction import MaterialSearch, ReconstructOptions
@@ -49,6 +49,11 @@ def measured_brightness(
     return float(np.format_float_positional(albedo, precision=4, fractional=False)), warn
 
 
+def share_of_wrong_lengths(lengths: FloatArray) -> float:
+    """Return the share of lengths (n,) that are far from 1, rounded as it is printed beside the limit."""
+    return round(float(np.mean(np.abs(lengths - 1.0) > WRONG_LENGTH)), 2)
+
+
 def _warn_of_other_material(
     response: LightResponse,
     choice: MaterialSearch | int,
@@ -71,7 +76,7 @@ def _warn_of_other_material(
     facing = (scaled[bright] / length[bright, None]).mean(axis=0)
     tilt_deg = float(np.degrees(np.arccos(np.clip(-facing[2] / np.linalg.norm(facing), -1.0, 1.0))))
     residual = 1.4826 * float(np.median(np.abs(length[bright] - np.median(length[bright]))))
-    off = float(np.mean(np.abs(reached / np.median(reached) - 1.0) > WRONG_LENGTH)) if reached.size else 0.0
+    off = share_of_wrong_lengths(reached / np.median(reached)) if reached.size else 0.0
     wrong = []
     if residual > _WORST_RESIDUAL:
         wrong.append(
