@@ -215,7 +215,7 @@ def test_the_run_tells_the_expected_error_and_warns_where_it_is_large(dome_captu
     medians = [np.median(m.error_deg[::4, ::4][m.mask[::4, ::4]]) for m in maps]
     assert summary.error_deg == pytest.approx(max(medians), abs=0.05)  # EXR holds half floats
     assert read_manifest(tmp_path / "good").error_deg == summary.error_deg
-    dull = FitQuality(method="sphere", residual_deg=19.0, condition_number=2.0, samples=100, cone_deg=60.0)
+    dull = FitQuality(method="sphere", residual_deg=40.0, condition_number=2.0, samples=100, cone_deg=60.0)
     rig = replace(dome_capture.rig, quality=dull)
     worse = replace(job_of(dome_capture, tmp_path / "bad"), rig=rig, allow=("residual",))
     summary = reconstruct(worse, frames=FrameRange.from_text("0:3"))

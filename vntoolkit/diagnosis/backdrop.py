@@ -66,6 +66,13 @@ def backdrop_in(normal_map: NormalMap) -> Backdrop | None:
     return Backdrop(subject=subject, share=share, subject_deg=inside, region_deg=outside)
 
 
+def spread_deg(normal_map: NormalMap, subject: Mask) -> float:
+    """Return the degrees from their mean that nine of ten normals of the subject (h, w) stay within."""
+    normals = np.asarray(normal_map.normals_in_camera)[normal_map.mask & subject]
+    cosines = normals @ normals.mean(axis=0) / max(float(np.linalg.norm(normals.mean(axis=0))), 1e-9)
+    return float(np.degrees(np.arccos(np.clip(np.percentile(cosines, 10), -1.0, 1.0))))
+
+
 def _largest(part: Mask) -> Mask:
     """Return the largest connected part, gaps closed and holes filled."""
     kernel = np.ones((_CLOSING_PX, _CLOSING_PX), np.uint8)

@@ -75,15 +75,16 @@ def _warn_of_other_material(
     reached = length[bright & (light > LIT_SHARE * light.max(axis=1, keepdims=True)).all(axis=1)]
     facing = (scaled[bright] / length[bright, None]).mean(axis=0)
     tilt_deg = float(np.degrees(np.arccos(np.clip(-facing[2] / np.linalg.norm(facing), -1.0, 1.0))))
-    residual = 1.4826 * float(np.median(np.abs(length[bright] - np.median(length[bright]))))
+    residual = round(1.4826 * float(np.median(np.abs(length[bright] - np.median(length[bright])))), 2)
     off = share_of_wrong_lengths(reached / np.median(reached)) if reached.size else 0.0
     wrong = []
-    if residual > _WORST_RESIDUAL:
+    told = response.light_colours is not None  # then what a material of another colour leaves is told before
+    if residual > _WORST_RESIDUAL and not (told and choice is MaterialSearch.AUTO):
         wrong.append(
             f"the lengths of its normals, which should be equal, spread by {100 * residual:.0f} % (expected "
             f"below {100 * _WORST_RESIDUAL:.0f})"
         )
-    elif off > MOST_UNEXPLAINED and response.light_colours is None:  # with colours, told before
+    elif off > MOST_UNEXPLAINED and not told:
         wrong.append(
             f"the lengths of {100 * off:.0f} % of its normals are off by more than {100 * WRONG_LENGTH:.0f} "
             f"% (expected in at most {100 * MOST_UNEXPLAINED:.0f} %; gloss does this, too)"
