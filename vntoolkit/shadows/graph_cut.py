@@ -1,6 +1,5 @@
 """Labels by a minimum cut: the cheapest labelling of pixels with evidence each and prices between them."""
 
-
 import numpy as np
 
 from vntoolkit.arrays import BoolArray, Float64Array, FloatArray, Int32Array, IntArray, Mask
