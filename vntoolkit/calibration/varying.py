@@ -49,7 +49,7 @@ def fit_varying_response(
     products = monomials[:, :, None] * one.rows[:, None, :]
     # the spread of the positions is checked above, that of the normals when one M was fitted
     design = Design(rows=products.reshape(len(rgb), -1), colours=rgb, flattest=0.0)
-    unknowns, chosen = fit_by_trimming(design, np.ones(len(rgb), np.bool_), 0.0, options.outlier_sigmas)
+    unknowns, chosen = fit_by_trimming(design, np.ones(len(rgb), np.bool_), 0.0)
     unknowns = _shrunk(unknowns, design.rows[chosen], rgb[chosen], free=one.unknown_count)
     middle, *terms = unknowns.reshape(monomials.shape[1], one.unknown_count, 3)
     response = response_from_unknowns(middle)

@@ -127,7 +127,7 @@ def laplacian_eigenvalues(length: int, count: int | None = None) -> Float64Array
 class MaskedSolver:
     """Least squares over the edges of one domain; keeps what depends on the domain alone."""
 
-    def __init__(self, domain: Mask, *, tolerance: float, most_iterations: int) -> None:
+    def __init__(self, domain: Mask, *, tolerance: float = 1e-5, most_iterations: int = 1000) -> None:
         rows, columns = np.flatnonzero(domain.any(axis=1)), np.flatnonzero(domain.any(axis=0))
         self._box = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
         self._shape = domain.shape
@@ -224,7 +224,7 @@ class MaskedSolver:
         raise SolverFailed(
             f"masked Poisson did not converge in {self._most_iterations} iterations (relative "
             f"residual {np.sqrt(energy * largest**2 / scale):.1e}, wanted {tolerance:.1e}): "
-            "raise --most-iterations or --tolerance"
+            "leave out the normals that contradict each other, or take --integrator discontinuity"
         )
 
     def _precondition(self, residual: Float32Array) -> Float32Array:
