@@ -83,7 +83,7 @@ LINES = {
     "geometry": 1810,
     "inspection": 250,
     "integration": 1950,
-    "io": 8930,
+    "io": 8940,
     "live": 900,
     "materials": 2900,
     "meshing": 380,

@@ -180,9 +180,7 @@ class Capture(Displayed):
         """
         FrameRange(start=start, stop=stop, step=step).numbers(self.info.frame_count)
         if self._reader is None:
-            from vntoolkit.io.footage.image_sequence import frames_of_images
-
-            yield from frames_of_images(self.info, self.options, start, stop, step)
+            yield from _frames_of_images(self.info, self.options, start, stop, step)
             return
         for number, values in self._reader.frames(start, stop, step):
             yield EncodedFrame(
@@ -317,3 +315,11 @@ def _stated_transfer(info: CaptureInfo, name: str) -> Transfer:
             "linear; save linear ones, or 16 bits"
         )
     return transfer
+
+
+def _frames_of_images(
+    info: CaptureInfo, options: CaptureOptions, start: int, stop: int | None, step: int
+) -> Iterator[EncodedFrame]:
+    from vntoolkit.io.footage.image_sequence import frames_of_images
+
+    return frames_of_images(info, options, start, stop, step)
