@@ -20,7 +20,7 @@ Stages exchange these objects:
 Public names are imported on first use, so that `import vntoolkit` is fast.
 """
 
-__version__ = "0.1.0"
+__version__ = "1.0.0"
 
 TYPE_CHECKING = False  # nothing is imported here: a Ctrl-C before `main` leaves a traceback
 if TYPE_CHECKING:

@@ -16,6 +16,7 @@ from vntoolkit.options.calibration import FitMethod, ResponseFitOptions, Respons
 from vntoolkit.photometry.fit_quality import angles_deg, cone_of_normals_deg, warn_of_weak_fit
 from vntoolkit.photometry.response import LightResponse, scaled_normals_from_rgb
 from vntoolkit.photometry.rig import FitQuality
+from vntoolkit.spread import robust_deviation
 
 _FIRST_SHADOW_SHARE = 0.15  # of a channel's 99th percentile: what surely is lit before anything is known
 SHADOW_SHARE = 0.08  # of a channel's largest contribution: a pair with less counts as shadowed
@@ -172,7 +173,7 @@ def fit_by_trimming(
         residuals = design.residuals(unknowns)
         if not lit.any():
             raise BadCalibration("calibration: no pixel is lit by all three lights; move the lights closer")
-        scale = 1.4826 * float(np.median(residuals[lit]))
+        scale = robust_deviation(residuals[lit])
         update = lit & (residuals <= max(_OUTLIER_SIGMAS * scale, floor))
         converged = np.array_equal(update, chosen)
         chosen = update

@@ -12,6 +12,7 @@ from vntoolkit.arrays import Float32Array, FloatArray, Int64Array
 from vntoolkit.diagnosis import evidence as evidences
 from vntoolkit.diagnosis.finding import CLEAR_Z, Finding
 from vntoolkit.diagnosis.white_balance import changes_with_gains
+from vntoolkit.spread import MEDIAN_TO_DEVIATION
 
 _STRIPES, _ROUNDS_A_STRIPE = 24, 3
 _SPREAD_OF_GAINS, _INDEPENDENT = 0.05, 20  # of a stripe's pixels: neighbours share their errors
@@ -92,4 +93,4 @@ def _largest_error(beats: FloatArray, medians: FloatArray, blocks: Int64Array) -
     if len(names) < 2:
         return 1.0
     scattered = np.array([np.median(beats[:, blocks == name], axis=1) - medians for name in names])
-    return float(1.48 * np.median(np.abs(scattered), axis=0).max() / np.sqrt(len(names)))
+    return float(MEDIAN_TO_DEVIATION * np.median(np.abs(scattered), axis=0).max() / np.sqrt(len(names)))

@@ -27,6 +27,7 @@ from vntoolkit.materials.mixtures import (
 from vntoolkit.materials.reflectance import CAP, Lamps
 from vntoolkit.materials.split_frame import noise_of
 from vntoolkit.native import njit
+from vntoolkit.spread import MEDIAN_TO_DEVIATION, robust_deviation
 
 _FIRST_BLUR_PX = 1.0  # of a lens and a Bayer pattern; sharper pictures show it, and are decided again
 _SHARED = 4.0  # pixels that share their errors: texture and blur reach over 2 × 2
@@ -145,7 +146,7 @@ def _variance_of_lengths(
     """Robust variance of the normals' lengths: of noise, texture, gloss, and light between folds."""
     chosen = np.flatnonzero(lit)[:: max(1, lit.size // _JUDGED)]
     normals = (s.reshape(-1, 3)[chosen] / rho[labels.ravel()[chosen]] - lamps.haze) @ lamps.inverse.T
-    return max((1.4826 * float(np.median(np.abs(np.linalg.norm(normals, axis=1) - 1.0)))) ** 2, 1e-6)
+    return max(robust_deviation(np.linalg.norm(normals, axis=1) - 1.0) ** 2, 1e-6)
 
 
 def _variance_of_steps(s: FloatArray, lit: Mask, lamps: Lamps, labels: MaterialLabels) -> float:
@@ -156,7 +157,7 @@ def _variance_of_steps(s: FloatArray, lit: Mask, lamps: Lamps, labels: MaterialL
         return _LEAST_STEP**2
     here, there = (np.maximum(part[both], lamps.noise) for part in (s[rows, :-1], s[rows, 1:]))
     steps = np.median(np.abs(np.log(there / here)), axis=0)
-    return float(max((1.4826**2 * steps**2).mean(), _LEAST_STEP**2))
+    return float(max((MEDIAN_TO_DEVIATION**2 * steps**2).mean(), _LEAST_STEP**2))
 
 
 @njit(cache=True, parallel=True, fastmath=True, error_model="numpy")

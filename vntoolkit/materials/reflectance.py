@@ -19,6 +19,7 @@ import numpy as np
 from vntoolkit.arrays import FloatArray, Matrix3, Points, Vector3
 from vntoolkit.errors import BadInput
 from vntoolkit.photometry.response import LightResponse
+from vntoolkit.spread import robust_deviation
 
 CAP = 3.0  # standard deviations at which a residual stops to count more
 # Spread of log ρ before anything is seen: paints return 0.1 to 1 of the light.
@@ -94,7 +95,7 @@ def reflectance_from_fit(
     normals = (contributions / values - lamps.haze) @ lamps.inverse.T
     lengths = np.maximum(np.linalg.norm(normals, axis=1), 1e-9)
     normals, shares = normals / lengths[:, None], contributions / values
-    residual = 1.4826 * float(np.median(np.abs(lengths - 1.0)))
+    residual = robust_deviation(lengths - 1.0)
     return Reflectance(
         values=values,
         covariance=covariance,

@@ -40,6 +40,7 @@ from vntoolkit.materials.split_frame import SplitFrame, split_frame, stacked
 from vntoolkit.options.reconstruction import MOST_MATERIALS
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
+from vntoolkit.spread import robust_deviation
 
 _SEARCHED_PIXELS = 40_000  # of the subject
 _LEAST_INSIDE = 1 / 3  # of the blocks, that lie inside patches, as of squares that hold a region each
@@ -192,7 +193,7 @@ def _reflectances_of_regions(regions: Regions, lamps: Lamps) -> tuple[Points, fl
         matrices, gradients = normal_equations(regions, x, lamps, weights, rough)
         x = seams.balanced(x, centre, max(1.0, CAP * FALL**done), matrices, gradients)
     lengths = (regions.samples * np.exp(-x)[:, None] - lamps.haze)[known] @ lamps.inverse.T
-    residual = 1.4826 * float(np.median(np.abs(np.linalg.norm(lengths, axis=1) - 1.0)))
+    residual = robust_deviation(np.linalg.norm(lengths, axis=1) - 1.0)
     return x, float(np.clip(residual, *_TOLERANCES))
 
 

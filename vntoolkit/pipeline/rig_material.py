@@ -15,6 +15,7 @@ from vntoolkit.photometry.response import LightResponse, scaled_normals_from_rgb
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline.frame_processor import FrameProcessor
 from vntoolkit.pipeline.request import Footage
+from vntoolkit.spread import robust_deviation
 
 logger = logging.getLogger(__name__)
 _WORST_RESIDUAL = (
@@ -70,7 +71,7 @@ def _warn_of_other_material(
     reached = length[bright & (light > LIT_SHARE * light.max(axis=1, keepdims=True)).all(axis=1)]
     facing = (scaled[bright] / length[bright, None]).mean(axis=0)
     tilt_deg = float(np.degrees(np.arccos(np.clip(-facing[2] / np.linalg.norm(facing), -1.0, 1.0))))
-    residual = 1.4826 * float(np.median(np.abs(length[bright] - np.median(length[bright]))))
+    residual = robust_deviation(length[bright] - np.median(length[bright]))
     off = float(np.mean(np.abs(reached / np.median(reached) - 1.0) > WRONG_LENGTH)) if reached.size else 0.0
     wrong = []
     if residual > _WORST_RESIDUAL:

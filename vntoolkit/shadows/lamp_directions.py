@@ -8,21 +8,20 @@ M⁻¹ (r − a) in the plane that is orthogonal to lamp k's direction: its norm
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
+import cv2
 import numpy as np
 
-from vntoolkit.arrays import FloatArray, Mask, Matrix3, Points2, Vector3, VisibilityLabels
+from vntoolkit.arrays import FloatArray, IntArray, Mask, Matrix3, Points2, Vector3, VisibilityLabels
 from vntoolkit.errors import BadRig
-from vntoolkit.native import njit
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
+from vntoolkit.spread import robust_deviation
 
 _FEWEST_PIXELS = 30
 _MOST_PIXELS = 2_000  # evenly spread: more tell nothing new
 _ROUNDS = 8  # of the robust fit
 _TUNING = 2.0  # standard deviations from the plane at which a colour counts a quarter
-_MEDIAN_TO_DEVIATION = 1.4826
 SURE_DEG = 4.0  # standard deviation of a direction: M's rows of a camera that mixes lamps are off by 4 to 9
 _LEAST_OFFSET = 0.02  # of a colour, off its plane: what near lamps, half-light and interreflection leave
 
@@ -107,23 +106,11 @@ def directions_from_unlit(unlit: Sequence[FloatArray], response: LightResponse) 
     return LampDirections(response=response, rows=rows, doubts=doubts)
 
 
-@njit(cache=True)
-def _inside(labels: Any, bit: Any, mask: Any) -> Any:
+def _inside(labels: VisibilityLabels, bit: np.uint8, mask: Mask) -> IntArray:
     """Return flat indices of pixels that one lamp does not reach but another does; so their neighbours."""
-    h, w = mask.shape
-    found, count = np.empty(h * w, np.int64), 0
-    for v in range(1, h - 1):
-        for u in range(1, w - 1):
-            if labels[v, u] & bit or labels[v, u] == 0:
-                continue
-            alike = 0
-            for y in range(v - 1, v + 2):
-                for x in range(u - 1, u + 2):
-                    alike += mask[y, x] and not labels[y, x] & bit and labels[y, x] != 0
-            if alike == 9:
-                found[count] = v * w + u
-                count += 1
-    return found[:count]
+    alike = mask & (labels & bit == 0) & (labels != 0)
+    inner = cv2.erode(alike.astype(np.uint8), np.ones((3, 3), np.uint8), borderValue=0.0)
+    return np.flatnonzero(inner)
 
 
 def _normal_of_plane(vectors: FloatArray) -> tuple[Vector3, float]:
@@ -133,7 +120,7 @@ def _normal_of_plane(vectors: FloatArray) -> tuple[Vector3, float]:
     for _ in range(_ROUNDS):
         squares, axes = np.linalg.eigh((vectors * weight[:, None]).T @ vectors)
         off = vectors @ axes[:, 0]
-        scale = max(_TUNING * _MEDIAN_TO_DEVIATION * float(np.median(np.abs(off))), 1e-6)
+        scale = max(_TUNING * robust_deviation(off), 1e-6)
         weight = 1.0 / (1.0 + (off / scale) ** 2) ** 2
     across, along, longest = np.sqrt(np.maximum(squares, 0.0))
     doubt = np.hypot(across, _LEAST_OFFSET * longest) / max(along, 1e-9)

@@ -17,7 +17,7 @@ from numba import prange
 from vntoolkit.arrays import ByteArray, FloatArray, Mask, VisibilityLabels
 from vntoolkit.native import njit
 from vntoolkit.photometry.frame import ALL_LIT, count_lit
-from vntoolkit.shadows.contributions import LightContributions, flat
+from vntoolkit.shadows.contributions import LightContributions, flat, lengths_of
 from vntoolkit.shadows.graph_cut import lit_by_cut
 
 _PAIRS = ((1, 2, 6), (0, 2, 5), (0, 1, 3))  # the two lights that remain, and the label that says so
@@ -29,6 +29,7 @@ _LEAST_SPREAD, _DARKEST = 0.01, 1e-3  # of the albedo, of which no pixel is dark
 _FARTHER = 2.0  # an albedo 16 pixels off is known 1.0 to 1.5 times less well, most shadows lie farther off
 _MOST_PAIRS = 50_000  # of neighbours that tell the scale
 _UNKNOWN_SCALE, _LEAST_SCALE = 0.15, 1e-3  # of a difference of normals
+_SHORTEST = np.float32(1e-9)  # of a normal's part in the plane of two lights
 _CERTAIN = 3.0  # standard deviations
 _UNKNOWN, _LIT, _TWO = 0, 1, 2
 
@@ -61,7 +62,9 @@ def roots_of_labels(
     for i, j, label in _PAIRS:
         planes[label][:, [i, j]] = np.linalg.pinv(light.lights[[i, j]])
     base, along = np.array(light.normals), np.zeros(mask.shape, np.float32)
-    _base_kernel(flat(light.relative_to(albedo)), wide, kinds, planes, flat(base), along)
+    within = np.einsum("nij,nj->ni", planes[wide[two]], light.relative_to(albedo)[two])
+    along[two] = lengths_of(within)[:, 0]
+    base[two] = within / np.maximum(lengths_of(within), _SHORTEST)
     cosine = np.where(two, np.minimum(along, 1.0), 1.0)
     tilt: FloatArray = np.arccos(cosine).astype(np.float32)
     near, afar = (_squared_difference(light.normals, lit, lag) for lag in (1, _LAG_PX))
@@ -73,7 +76,7 @@ def roots_of_labels(
         flat(base), tilt, across, wide, kinds, variance, np.float32(afar), np.float32(0.5 * _STEPS), evidence,
         east, south,
     )  # fmt: skip
-    facing = lit_by_cut(evidence - np.float32(_OCCLUDER_PRICE), lambda _: (east, south), two, np.inf)
+    facing = lit_by_cut(evidence - np.float32(_OCCLUDER_PRICE), (east, south), two, np.inf)
     sine = np.sin(np.where(facing, tilt, -tilt))[..., None]
     roots = np.where(two[..., None], np.cos(tilt)[..., None] * base + sine * across[wide], light.normals)
     known = mask & ((labels == ALL_LIT) | two)
@@ -114,7 +117,7 @@ def _widened(labels: VisibilityLabels, mask: Mask) -> VisibilityLabels:
     for k in range(3):
         bit = np.uint8(1 << k)
         wide[(cv2.dilate(missing & bit, _NEIGHBOURS) > 0) & mask] &= np.uint8(ALL_LIT - bit)
-    kept = (count_lit(labels) == 2) & (count_lit(wide) < 2)
+    kept = (count_lit(labels) >= 2) & (count_lit(wide) < 2)
     return np.where(kept, labels, wide).astype(np.uint8)
 
 
@@ -141,28 +144,6 @@ def _squared_difference(normals: FloatArray, lit: Mask, lag: int) -> float:
         return _UNKNOWN_SCALE**2
     apart = np.sum((normals[v, u] - normals[v, u + lag]) ** 2, axis=1)
     return max(float(np.median(apart)), _LEAST_SCALE**2)
-
-
-@njit(cache=True, parallel=True, error_model="numpy")
-def _base_kernel(
-    relative: FloatArray, labels: VisibilityLabels, kinds: ByteArray, planes: FloatArray, base: FloatArray,
-    along: FloatArray,
-) -> None:  # fmt: skip
-    """Fill base (h, 3 w) and along (h, w). planes: (8, 3, 3), a normal's part in two lights' plane."""
-    h, w = labels.shape
-    for v in prange(h):
-        for u in range(w):
-            if kinds[v, u] != _TWO:
-                continue
-            plane, i = planes[labels[v, u]], 3 * u
-            a, b, c = relative[v, i], relative[v, i + 1], relative[v, i + 2]
-            x = plane[0, 0] * a + plane[0, 1] * b + plane[0, 2] * c
-            y = plane[1, 0] * a + plane[1, 1] * b + plane[1, 2] * c
-            z = plane[2, 0] * a + plane[2, 1] * b + plane[2, 2] * c
-            length = np.sqrt(x * x + y * y + z * z)
-            along[v, u] = length
-            if length > np.float32(0.0):
-                base[v, i], base[v, i + 1], base[v, i + 2] = x / length, y / length, z / length
 
 
 @njit(cache=True, forceinline=True, error_model="numpy")

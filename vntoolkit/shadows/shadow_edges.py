@@ -99,12 +99,8 @@ def _sampled(
     height, width = image.shape[:2]
     columns = (u + inwards[:, 0] * distance + 0.5) * (width / shape[1]) - 0.5
     rows = (v + inwards[:, 1] * distance + 0.5) * (height / shape[0]) - 0.5
-    columns, rows = np.clip(columns, 0, width - 1), np.clip(rows, 0, height - 1)
-    column, row = np.floor(columns).astype(np.intp), np.floor(rows).astype(np.intp)
-    right, below = np.minimum(column + 1, width - 1), np.minimum(row + 1, height - 1)
-    x, y = (columns - column)[:, None], (rows - row)[:, None]
-    above = (1 - x) * image[row, column] + x * image[row, right]
-    return (1 - y) * above + y * ((1 - x) * image[below, column] + x * image[below, right])
+    places = columns[:, None].astype(np.float32), rows[:, None].astype(np.float32)
+    return cv2.remap(image, *places, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)[:, 0]
 
 
 def _unit(vectors: FloatArray) -> FloatArray:

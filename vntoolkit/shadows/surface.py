@@ -38,6 +38,7 @@ from vntoolkit.shadows.contributions import (
     Numbers,
     WorkingImage,
     flat,
+    lengths_of,
     numbers_of,
 )
 from vntoolkit.solvers import grid_hierarchy, solve_grid
@@ -52,6 +53,7 @@ _SHADOW_STEP_SOFTNESS = 40.0  # the same under two lights, where the slope hangs
 _SMOOTH_PX = 2.0  # standard deviation of the surroundings whose mean slope a shadowed pixel is drawn to
 _MISSING_LIGHT_WEIGHT = 0.3  # of a light labelled missing where the surface would return what is seen …
 _MISSING_LIGHT_CUTOFF = 0.2  # … and the difference of cosines at which that weight ends
+_SHORTEST = np.float32(1e-3)  # a shorter vector has no direction
 _DAMPING = 1.0  # holds the slope back where nothing else is known
 _TOLERANCE = 3e-3  # relative residual that ends a step's multigrid cycles early
 
@@ -107,9 +109,10 @@ class Surface:
 
 
 def _unit_or_facing(vectors: FloatArray) -> FloatArray:
-    out: FloatArray = np.empty(vectors.shape, np.float32)
-    _unit_kernel(flat(vectors), flat(out))
-    return out
+    """Return unit vectors (h, w, 3); towards the viewer where there is no length."""
+    length = lengths_of(vectors)
+    facing = np.array([0.0, 0.0, -1.0], np.float32)
+    return np.where(length > _SHORTEST, vectors / np.maximum(length, _SHORTEST), facing)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -200,8 +203,12 @@ def solve_surface(
         if step >= options.held:
             slopes_kernel(depth, weights, np.float32(STEEPEST), slopes, agreement)
         softness = (_STEP_SOFTNESS, _SHADOW_STEP_SOFTNESS)
-    normals = np.empty_like(first)
-    _normals_kernel(slopes, flat(first), agreement, known, mask, given.rays, flat(normals))
+    normals = _normals_of_slopes(slopes, given.rays)
+    colour = np.where(known, np.float32(1.0) - agreement, np.float32(0.0))[..., None]
+    mixed = normals + colour * (
+        first - normals
+    )  # where depth steps or creases, a colour's own normal is kept
+    normals = np.where(mask[..., None], mixed / np.maximum(lengths_of(mixed), _SHORTEST), np.float32(0.0))
     return Surface(normals=normals, depth=depth, agreement=agreement)
 
 
@@ -264,14 +271,32 @@ def model_of(options: SurfaceOptions, *, settled: bool) -> "Model":
 
 def _first_guess(normals: FloatArray, known: Mask, rays: RayGrid, start: Surface | None) -> tuple[Grid, Grid]:
     """Slopes (2, h, w) of the lit pixels, continued smoothly into the rest, and a depth to start from."""
-    shape = known.shape
-    slopes = np.empty((2, *shape), np.float32)
     if start is not None:
-        _from_normals_kernel(flat(start.normals), rays, slopes)
-        return slopes, start.depth
-    _from_normals_kernel(flat(normals), rays, slopes)
-    filled = fill_smoothly(np.moveaxis(slopes, 0, -1), known.astype(np.float32))
-    return np.ascontiguousarray(np.moveaxis(filled, -1, 0), np.float32), np.zeros(shape, np.float32)
+        return _slopes_of_normals(start.normals, rays), start.depth
+    slopes = np.moveaxis(_slopes_of_normals(normals, rays), 0, -1)
+    filled = fill_smoothly(slopes, known.astype(np.float32))
+    return np.ascontiguousarray(np.moveaxis(filled, -1, 0), np.float32), np.zeros(known.shape, np.float32)
+
+
+def _slopes_of_normals(normals: FloatArray, rays: RayGrid) -> Grid:
+    """Return the slopes (2, h, w) of normals (h, w, 3), held where they are seen at grazing incidence."""
+    x, y = _rays_over(rays, normals.shape[:2])
+    along = np.minimum(normals[..., 2] + x * normals[..., 0] + y * normals[..., 1], np.float32(-FLATTEST_Z))
+    slopes = np.stack([normals[..., 0] / -along, normals[..., 1] / -along])
+    return slopes * (np.float32(STEEPEST) / np.maximum(np.hypot(*slopes), np.float32(STEEPEST)))
+
+
+def _normals_of_slopes(slopes: Grid, rays: RayGrid) -> FloatArray:
+    """Return the unit normals (h, w, 3), n ∝ (p, q, −1 − x p − y q)."""
+    x, y = _rays_over(rays, slopes.shape[1:])
+    normals = np.stack([*slopes, -1 - x * slopes[0] - y * slopes[1]], axis=-1)
+    return normals / lengths_of(normals)
+
+
+def _rays_over(rays: RayGrid, shape: tuple[int, ...]) -> tuple[Grid, Grid]:
+    """Return (w,) x and (h, 1) y of the pixels' rays at depth 1."""
+    x = (np.arange(shape[1], dtype=np.float32) - rays.centre_u) * rays.per_pixel_u
+    return x, ((np.arange(shape[0], dtype=np.float32) - rays.centre_v) * rays.per_pixel_v)[:, None]
 
 
 def _prior_weights(mask: Mask, known: Mask) -> tuple[Grid, Grid]:
@@ -404,73 +429,3 @@ def quadratics_kernel(
             a00, a01, a11, b0, b1 = some * a00, some * a01, some * a11, some * b0, some * b1
             o00[u], o01[u], o11[u], o0[u], o1[u], oc[u] = a00, a01, a11, b0, b1, some * c
             to_p[u], to_q[u] = a00 * p + a01 * q + b0, a01 * p + a11 * q + b1
-
-
-@njit(cache=True, fastmath=True, error_model="numpy")
-def _unit_kernel(vectors: Grid, out: Grid) -> None:
-    """Fill unit vectors (h, w, 3); towards the viewer where there is no length."""
-    zero, one, least = np.float32(0.0), np.float32(1.0), np.float32(1e-3)
-    for v in range(len(out)):
-        line, to = vectors[v], out[v]
-        for u in range(len(to) // 3):
-            a, b, c = line[3 * u], line[3 * u + 1], line[3 * u + 2]
-            length = np.sqrt(a * a + b * b + c * c)
-            some = length > least
-            over = one / max(length, least)
-            to[3 * u], to[3 * u + 1] = (a * over if some else zero), (b * over if some else zero)
-            to[3 * u + 2] = c * over if some else -one
-
-
-@njit(cache=True, fastmath=True, error_model="numpy")
-def _from_normals_kernel(normals: Grid, rays: RayGrid, out: Grid) -> None:
-    """Fill the slopes (2, h, w) of normals (h, w, 3), held where the surface is seen at grazing incidence."""
-    _, h, w = out.shape
-    one = np.float32(1.0)
-    for v in range(h):
-        x0, y = ray_at(rays, v, 0)
-        line, to_p, to_q = normals[v], out[0, v], out[1, v]
-        for u in range(w):
-            x = x0 + rays.per_pixel_u * np.float32(u)
-            n0, n1 = line[3 * u], line[3 * u + 1]
-            along = one / min(line[3 * u + 2] + x * n0 + y * n1, np.float32(-FLATTEST_Z))
-            p, q = -n0 * along, -n1 * along
-            hold = np.float32(STEEPEST) / max(np.sqrt(p * p + q * q), np.float32(STEEPEST))
-            to_p[u], to_q[u] = p * hold, q * hold
-
-
-@njit(cache=True, fastmath=True, error_model="numpy")
-def _normals_kernel(
-    slopes: Grid, first: Grid, agreement: Grid, known: Mask, mask: Mask, rays: RayGrid, out: Grid
-) -> None:
-    """Fill the unit normals (h, w, 3): n ∝ (p, q, −1 − x p − y q) of the slopes, 0 outside the mask.
-
-    Where colour alone gives a normal, it is kept as far as the depth disagrees (a step, a crease).
-    """
-    h, w = mask.shape
-    zero, one = np.float32(0.0), np.float32(1.0)
-    for v in range(h):
-        x0, y = ray_at(rays, v, 0)
-        slope_p, slope_q, line, to = slopes[0, v], slopes[1, v], first[v], out[v]
-        agreed, own, inside = agreement[v], known[v], mask[v]
-        for u in range(w):
-            x = x0 + rays.per_pixel_u * np.float32(u)
-            p, q = slope_p[u], slope_q[u]
-            n2 = -one - x * p - y * q
-            scale = one / np.sqrt(p * p + q * q + n2 * n2)
-            p, q, n2 = p * scale, q * scale, n2 * scale
-            weight = agreed[u] if own[u] else one
-            a, b, c = _mixed(p, q, n2, weight, line[3 * u], line[3 * u + 1], line[3 * u + 2])
-            to[3 * u], to[3 * u + 1], to[3 * u + 2] = (
-                a if inside[u] else zero, b if inside[u] else zero, c if inside[u] else zero,
-            )  # fmt: skip
-
-
-@njit(cache=True, forceinline=True, error_model="numpy")
-def _mixed(a0: Any, a1: Any, a2: Any, weight: Any, b0: Any, b1: Any, b2: Any) -> tuple[Any, Any, Any]:
-    """Blend two unit vectors, the first with `weight`."""
-    rest = np.float32(1.0) - weight
-    x = weight * a0 + rest * b0
-    y = weight * a1 + rest * b1
-    z = weight * a2 + rest * b2
-    scale = np.float32(1.0) / max(np.sqrt(x * x + y * y + z * z), np.float32(1e-6))
-    return x * scale, y * scale, z * scale

@@ -29,6 +29,7 @@ from vntoolkit.photometry.fit_quality import angles_deg, cone_of_normals_deg, wa
 from vntoolkit.photometry.gel import TERM_DEGREES, TERMS, GelResponse
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.rig import FitQuality
+from vntoolkit.spread import robust_deviation
 from vntoolkit.tactile.presses import CONTACT_SHARE, PressPairs, PressSamples, pairs_from_samples
 from vntoolkit.tactile.response import (
     correction_terms,
@@ -239,7 +240,7 @@ def _fit_matrix(pairs: PressPairs, level: Vector3, options: PressOptions) -> Lig
                 "deeper, and all over the gel"
             )
         residuals = np.linalg.norm(slopes @ columns - colours, axis=1)
-        update = residuals <= _OUTLIER_SIGMAS * 1.4826 * float(np.median(residuals))
+        update = residuals <= _OUTLIER_SIGMAS * robust_deviation(residuals)
         if np.array_equal(update, chosen):
             break
         chosen = update

@@ -31,6 +31,7 @@ from vntoolkit.arrays import (
     Mask,
     Points2,
 )
+from vntoolkit.spread import NINE_OF_TEN_IN_PLANE
 from vntoolkit.tactile.dots import BLACK, closed, window_of
 
 _ACROSS = 16  # points over the shorter side of a gel without dots, as many as sensors print dots
@@ -42,7 +43,6 @@ _LEAST_EIGENVALUE = 1e-5
 _REACH = 0.5  # standard deviation of the weights, of the points' distance: at a point its own counts most
 _CELLS = 3  # over the distance of points: the motion is fitted so densely, then enlarged
 _STIFFNESS = 1e-3  # of an affine motion against a translation, where points lie on one line
-_NINE_OF_TEN = 2.146  # √(2 ln 10) standard deviations hold nine of ten lengths in the plane
 _MEAN_OF_CHANNELS = np.full((1, 3), 1 / 3, np.float32)
 _FEWEST = 3  # points of an affine motion
 
@@ -186,7 +186,7 @@ class Membrane:
             rest_px=rest,
             displacement_px=np.where(found[:, None], displacement, told),
             found=found,
-            error_px=_NINE_OF_TEN * np.sqrt(variance),
+            error_px=NINE_OF_TEN_IN_PLANE * np.sqrt(variance),
         )
 
     @cached_property

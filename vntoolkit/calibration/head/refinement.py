@@ -35,6 +35,7 @@ from vntoolkit.geometry.mesh import Mesh, vertex_normals
 from vntoolkit.geometry.rays import RayScene
 from vntoolkit.options.head import HeadSteps
 from vntoolkit.photometry.response import LightResponse
+from vntoolkit.spread import NINE_OF_TEN_IN_PLANE
 
 _ROUNDS, _PASSES = 6, 2  # colours are taken anew in so many: later, vertices hardly move
 _CONVERGED = 0.002  # change of M, as a share, that ends the rounds
@@ -46,7 +47,6 @@ _MOST_VERTICES = 300_000
 _CROSSOVER_PX, _CROSSOVER_NOISE = 200.0, 0.02
 _LARGEST_CROSSOVER = 1.0 / 3.0  # of the mesh's diagonal: M is fitted to what longer waves say
 _LEAST_PATCH = 0.1  # of its side squared: less is a sliver
-_NINE_OF_TEN = 2.146  # standard deviations of a component that hold nine of ten directions
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -205,4 +205,4 @@ def _skin_colour(skin: skins.SkinNormals, response: LightResponse) -> FloatArray
 
 def _expected_error_deg(skin: skins.SkinNormals) -> FloatArray:
     noise = np.where(np.isfinite(skin.noise), np.hypot(skin.noise, SHARED_NOISE), UNKNOWN_NOISE)
-    return np.rad2deg(_NINE_OF_TEN * noise).astype(np.float32)
+    return np.rad2deg(NINE_OF_TEN_IN_PLANE * noise).astype(np.float32)
