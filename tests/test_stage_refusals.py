@@ -53,7 +53,7 @@ def test_colours_that_no_light_explains(rng, monkeypatch):
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     rgb = rgb_from_normals(normals, LightResponse(matrix=MATRIX))
     assert fit_response(normals, rgb).response.condition_number < 10
-    monkeypatch.setattr(fit_by_trimming, "__defaults__", (0.99, 30))
+    monkeypatch.setattr(fit_by_trimming, "__defaults__", (0.99,))
     with pytest.raises(BadCalibration, match="calibration: "):
         fit_response(normals, np.abs(rng.normal(size=(300, 3))))
 

@@ -14,6 +14,7 @@ from rerun.chunk import RrdReader
 from tests.dome_result import DomeResult, dome_result
 from tests.each_step import EachStep
 from tests.io.test_recordings import messages_of
+from tests.result_files import read_point_cloud
 from tests.skinning.test_glb_export import accessor, chunks
 from tests.usd_reading import complaints
 from vntoolkit.errors import BadInput
@@ -26,7 +27,7 @@ from vntoolkit.io.light_files import read_lights
 from vntoolkit.io.maps_and_meshes.arrays import StreamedArray, write_npz
 from vntoolkit.io.maps_and_meshes.maps import read_depth_map, read_normal_map
 from vntoolkit.io.maps_and_meshes.masks import read_mask
-from vntoolkit.io.maps_and_meshes.meshes import read_mesh, read_point_cloud
+from vntoolkit.io.maps_and_meshes.meshes import read_mesh
 from vntoolkit.io.results.sequences import read_mesh_sequence
 from vntoolkit.normals.photometric_stereo import normals_from_lights
 from vntoolkit.options.export import (

@@ -60,14 +60,12 @@ class BoardCalibration:
     """fit: M and its quality. camera: given or fitted. poses: one per frame used in the fit, in its order.
 
     light_colours: (3, 3), unit colour of each lamp, where frames show every lamp alone, else None.
-    frames_alone: how many they are, of the red, the green and the blue lamp.
     """
 
     fit: ResponseFit
     camera: Camera
     poses: tuple[BoardPose, ...]
     light_colours: Matrix3 | None = None
-    frames_alone: tuple[int, ...] = ()
 
 
 def fit_response_to_board(
@@ -122,7 +120,6 @@ def fit_response_to_board(
         camera=camera,
         poses=tuple(p for _, p in kept),
         light_colours=colours,
-        frames_alone=() if lamps is None else tuple(int((lamps == k).sum()) for k in range(3)),
     )
 
 

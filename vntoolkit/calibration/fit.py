@@ -152,7 +152,7 @@ class Design:
 
 
 def fit_by_trimming(
-    design: Design, usable: Mask, shadow_share: float = SHADOW_SHARE, rounds: int = 30
+    design: Design, usable: Mask, shadow_share: float = SHADOW_SHARE
 ) -> tuple[FloatArray, Mask]:
     """Repeat least squares without attached shadow and without outliers until the set of pairs is stable.
 
@@ -164,7 +164,7 @@ def fit_by_trimming(
         chosen = usable & (design.colours > _FIRST_SHADOW_SHARE * top).all(axis=1)
     floor = _ROUNDING * float(np.abs(design.colours[usable]).max())
     unknowns = design.solve(chosen)
-    for _ in range(rounds):
+    for _ in range(30):
         contributions = design.rows[:, :3] @ unknowns[:3]
         brightest = contributions[chosen].max(axis=0)
         lit = usable

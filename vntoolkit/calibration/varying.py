@@ -71,17 +71,17 @@ def _shrunk(unknowns: FloatArray, rows: Points, colours: Points, free: int) -> F
     rows: (n, k), unknowns: (k, 3). The ridge is the variance of the colours over that of the
     coefficients; both maximise the evidence, by MacKay's fixed point (mackay1992).
     """
-    held = np.arange(len(unknowns)) >= free
+    shrunk = np.arange(len(unknowns)) >= free
     normal, right = rows.T @ rows, rows.T @ colours
     ridge, before = 0.0, np.inf
     for _ in range(_ROUNDS):
-        inverse = np.linalg.inv(normal + np.diag(ridge * held))
+        inverse = np.linalg.inv(normal + np.diag(ridge * shrunk))
         unknowns = inverse @ right
         determined = (
-            held.sum() - ridge * np.diag(inverse)[held].sum()
+            shrunk.sum() - ridge * np.diag(inverse)[shrunk].sum()
         )  # coefficients that the pairs determine
         noise = np.square(rows @ unknowns - colours).sum() / (len(rows) - free - determined)
-        size = np.square(unknowns[held]).sum()
+        size = np.square(unknowns[shrunk]).sum()
         if abs(ridge - before) <= _SETTLED * ridge or size == 0.0:
             break
         before, ridge = ridge, determined * noise / size

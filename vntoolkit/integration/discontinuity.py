@@ -178,10 +178,10 @@ def _normalised(depth, difference, variance, out):  # type: ignore[no-untyped-de
     height, width = depth.shape
     for v in numba.prange(height):
         for k in range(2):
-            y, room = v + k, width - 1 + k
+            y, end = v + k, width - 1 + k
             for u in range(width):
                 spread = variance[k, v, u]
-                if u < room and y < height and spread > 0:
+                if u < end and y < height and spread > 0:
                     residual = depth[y, u + 1 - k] - depth[v, u] - difference[k, v, u]
                     out[k, v, u] = abs(residual) / np.sqrt(spread)
                 else:

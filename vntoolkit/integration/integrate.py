@@ -263,10 +263,10 @@ class DomainSolver:
         off = max(deviation_of(normalised_residuals(own, difference, errors.variance)), 1.0)
         unit = off**2 * float(errors.variance[errors.variance > 0].min())  # variance of the weight 1
         values, information = prior.measurements(scale, self._rays.depth_scales_ray > 0)
-        value, pull = values[box], np.where(self.domain[box], information[box], 0.0) * unit
+        value, known_weight = values[box], np.where(self.domain[box], information[box], 0.0) * unit
         field = EdgeField(difference=np.asarray(difference, np.float32), weight=weight)
-        start = self.components.moved_to(own, value, pull)
-        found = self._masked.solve(field, start, weighted=True, known=(value, pull))
+        start = self.components.moved_to(own, value, known_weight)
+        found = self._masked.solve(field, start, weighted=True, known=(value, known_weight))
         out = np.zeros_like(solution)
         out[box] = np.where(self.domain[box], found, 0.0) / scale
         return out

@@ -135,7 +135,7 @@ class ObjectPose:
         view = _view(touch)
         if len(np.unique(_blocks_of(*np.nonzero(view.contact)))) < _FEWEST_BLOCKS:
             self._before = None
-            return self._told(lost=True)
+            return self._result(lost=True)
         if self._before is None:
             return self._begun(view)
         shared = [self._shared_now(key, view) for key in self._keyframes]
@@ -154,7 +154,7 @@ class ObjectPose:
         self._pose = aligned.now_from_key @ key.pose
         covariance = key.covariance + aligned.covariance
         self._before = self._keyframe(view, covariance)
-        return self._told(
+        return self._result(
             covariance=covariance,
             unobservable=aligned.unobservable,
             information=aligned.information,
@@ -167,9 +167,9 @@ class ObjectPose:
         self._pose = RigidTransform()
         self._before = self._keyframe(view, np.zeros((6, 6)))
         self._keyframes = [self._before]
-        return self._told(lost=lost)
+        return self._result(lost=lost)
 
-    def _told(
+    def _result(
         self,
         *,
         lost: bool = False,

@@ -25,7 +25,6 @@ from vntoolkit.calibration.head.shape_noise import (
     LEAST_SEEN,
     PATCH_PX,
     SHARED_NOISE,
-    NoiseLevels,
     mean_edge,
     measured_noise,
     patches_of,
@@ -99,9 +98,9 @@ def refine_head(
         progress.step()
         if changes[-1] < _CONVERGED:
             break
-    levels = measured_noise(surface, stereo.vertices, skin, pixel)
-    spread = solver.spread(surface, levels.stereo, levels.shared, rng)
-    fine, colours, skin = _refined_finely(shape, surface, camera, frames, lit, levels, crossover, pixel)
+    density, shared = measured_noise(surface, stereo.vertices, skin, pixel)
+    spread = solver.spread(surface, density, shared, rng)
+    fine, colours, skin = _refined_finely(shape, surface, camera, frames, lit, density, crossover, pixel)
     samples = patch_samples(fine, camera, colours, skin, PATCH_PX * pixel)
     return RefinedHead(
         mesh=replace(fine, colours=_skin_colour(skin, lit.response), error_deg=_expected_error_deg(skin)),
@@ -118,7 +117,7 @@ def _refined_finely(
     camera: Camera,
     frames: Callable[[], Iterable[LightFrame]],
     lit: skins.SkinLight,
-    levels: NoiseLevels,
+    density: float,
     crossover: float,
     pixel: float,
 ) -> tuple[Mesh, SkinColours, skins.SkinNormals]:
@@ -134,7 +133,7 @@ def _refined_finely(
         skin,
         crossover * _CROSSOVER_NOISE / LEAST_NOISE,  # errors as they are measured make it shorter
     )
-    solver.add_contours(rim_targets(placed, camera, frames(), lit.response), levels.stereo)
+    solver.add_contours(*rim_targets(placed, camera, frames(), lit.response), density)
     return stereo.with_vertices(solver.positions()), colours, skin
 
 
