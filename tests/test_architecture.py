@@ -77,7 +77,7 @@ DOORS = {
 LINES = {
     "(root)": 1890,
     "calibration": 4720,
-    "cli": 3210,
+    "cli": 3200,
     "diagnosis": 4120,
     "evaluation": 1100,
     "geometry": 1810,

@@ -5,10 +5,8 @@ from vntoolkit.errors import BadInput
 REMOVED: dict[str, str] = {
     "circles": "was removed; `vntoolkit calibrate presses --overlay circles.png` draws them over a grid, "
     "--circle NAME u v radius corrects one",
-    "--distance-power": "was removed: weights follow the published 1/distance; take --falloff heat for "
-    "limbs that move more independently",
-    "--refine-albedo": "was removed, since it left normals as they were; leave it out, "
-    "`vntoolkit reconstruct` takes paint out of every frame",
+    "--distance-power": "was removed: weights follow the published 1/distance; or take --falloff heat",
+    "--refine-albedo": "was removed, since it left normals as they were; leave it out",
     "--pose-start": "was removed: it follows from --features; give --features sift for frames far apart",
     "--fit-method": "is --method now",
     "--faces": "is --most-faces now",
@@ -19,28 +17,19 @@ REMOVED: dict[str, str] = {
     "--flat-share": "was removed: leave it out; `vntoolkit calibrate presses` draws what it needs",
     "--square-px": "was removed: leave it out; texture.png is the file to put another pattern into",
     "--picture-px": "was removed: leave it out; --most-frames and --vertices make the page smaller",
-    "--picture-height": "was removed: leave it out; `vntoolkit view` shows pictures in full",
 }
 _CONSTANT = (
-    "albedo-tolerance steepest-slope-deg least-weight precision tolerance most-iterations depth-offset "
-    "shadow-share outlier-sigmas inlier-share tangential contact-share data-share smoothing-length arms"
+    "--albedo-tolerance,--steepest-slope-deg,--least-weight,--precision,--tolerance,--most-iterations,"
+    "--depth-offset,--shadow-share,--outlier-sigmas,--inlier-share,--tangential,--contact-share,--data-share,"
+    "--smoothing-length,--arms,demo --width,demo --height,dress --depth,calibrate --samples,"
+    "evaluate --samples,evaluate --lost-px,--picture-height"
 )
-REMOVED |= {
-    "demo --width": "was removed, as was --height: leave it out; `vntoolkit simulate --size` films larger",
-    "demo --height": "was removed, as was --width: leave it out; `vntoolkit simulate --size` films larger",
-    "dress --depth": "was removed: leave it out; --fit corrects the place of the garment",
-    "evaluate --lost-px": "was removed: give it to `vntoolkit track`",
-    "calibrate --samples": "was removed: leave it out; its default is a constant now",
-    "evaluate --samples": "was removed: leave it out; its default is a constant now",
-}
 _OF_HEADS = (
     "corner-spacing-px window-px margin-px pose-tracks least-turn-deg hull-cells references stereo-window-px "
     "before behind least-correlation smoothing-px fusion-depth agreement confirmations hull-gap light-frames "
     "light-points light-draws light-inlier"
 )
-REMOVED |= dict.fromkeys(
-    (f"--{name}" for name in _CONSTANT.split()), "was removed: leave it out; its default is a constant now"
-)
+REMOVED |= dict.fromkeys(_CONSTANT.split(","), "was removed: leave it out; its default is a constant now")
 REMOVED |= dict.fromkeys(
     (f"--{name}" for name in _OF_HEADS.split()),
     "was removed: `vntoolkit calibrate head` knows it; leave it out, and film closely what comes out badly",

@@ -56,8 +56,8 @@ def backdrop_in(normal_map: NormalMap) -> Backdrop | None:
     subject = _largest(_closed(mask & (smooth <= threshold)))
     beside = mask & ~subject
     # an outline's rim joins no hair to the border
-    poor = cv2.morphologyEx(_closed(beside & (smooth > threshold)), cv2.MORPH_OPEN, _KERNEL)
-    region = _largest(poor) & beside
+    poor = _closed(beside & (smooth > threshold))
+    region = _largest(np.asarray(cv2.morphologyEx(poor, cv2.MORPH_OPEN, _KERNEL), np.uint8)) & beside
     if not _at_border(region) or not (subject & mask).any():
         return None
     inside, outside = (float(np.median(normal_map.error_deg[part & mask])) for part in (subject, region))
