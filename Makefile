@@ -3,7 +3,7 @@
 PYTHON := .venv/bin/python
 READY := .venv/.ready
 
-.PHONY: demo test test-slow ratios measure dist fuzz error-coverage lint docs lock clean
+.PHONY: demo test test-slow test-lowest ratios measure dist fuzz error-coverage lint docs lock clean
 
 demo: $(READY)
 	$(PYTHON) -m vntoolkit demo --out out/demo --overwrite --jobs 2
@@ -13,6 +13,18 @@ test: $(READY)
 
 test-slow: $(READY)
 	$(PYTHON) -m pytest -m slow -n 2 --dist loadfile --durations=30
+
+# The default tests with the lowest versions that pyproject.toml admits, in an environment of their own.
+test-lowest: .venv-lowest/.ready
+	.venv-lowest/bin/python -m pytest -m "not slow" -n 2 --dist loadfile
+
+.venv-lowest/.ready: $(READY)
+	$${PYTHON3:-python3} -m venv .venv-lowest
+	.venv/bin/uv pip compile pyproject.toml --all-extras --resolution lowest-direct --generate-hashes --quiet \
+	    --python .venv-lowest/bin/python --output-file .venv-lowest/requirements.txt
+	.venv-lowest/bin/python -m pip install --quiet --require-hashes -r .venv-lowest/requirements.txt
+	.venv-lowest/bin/python -m pip install --quiet --no-deps --no-build-isolation --editable .
+	touch .venv-lowest/.ready
 
 # Times of the default as ratios to a plain frame.
 ratios: $(READY)
@@ -66,4 +78,4 @@ dist: $(READY)
 	$(PYTHON) -m hatchling build -d out/dist
 
 clean:
-	rm -rf .venv .venv-docs out
+	rm -rf .venv .venv-docs .venv-lowest out

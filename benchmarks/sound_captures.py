@@ -2,7 +2,7 @@
 
 python -m benchmarks.sound_captures [FOLDER ...] [--seeds 41 42] [--data DATA] [--out FILE]
 
-Scenes of the simulator, of one paint, of many and of bare skin, are filmed at 160×120, in 8 bits linear, in 8
+Scenes of the simulator, of one paint, of many and of bare skin, are filmed at 320×240, in 8 bits linear, in 8
 bits encoded and in 12 bits, each with the true M of the middle of its picture and the lamps' colours. FOLDER:
 a capture of another renderer, `capture.mkv` with its right `rig.json`. DATA: photographs of statues in
 `coloured_light`, of faces under three of many flashes in `faces`, and presses of gels in `gelsight_mini`.
@@ -27,7 +27,6 @@ from vntoolkit.io.footage.image_writing import write_png
 from vntoolkit.io.results.manifest import ReconstructionFolder, read_manifest
 from vntoolkit.io.rigs import read_rig
 from vntoolkit.options.calibration import PressOptions
-from vntoolkit.options.normals import ShadowMethod
 from vntoolkit.options.reconstruction import Product, ReconstructOptions
 from vntoolkit.options.simulation import Nuisances, SceneOptions
 from vntoolkit.photometry.response import LightResponse
@@ -54,7 +53,7 @@ def simulated(folder: Path, seeds: list[int]) -> Iterator[tuple[str, Path, Rig, 
     """Film every scene; the way it is stored changes from one to the next."""
     for k, (seed, name) in enumerate((seed, name) for seed in seeds for name in SCENES):
         curve, bits = STORED[(k + seed) % len(STORED)]
-        scene = build_scene(name, SceneOptions(width=160, height=120, seed=seed))
+        scene = build_scene(name, SceneOptions(width=320, height=240, seed=seed))
         transfer, to = Transfer.from_text(curve), folder / f"{name}-{seed}-{curve}-{bits}"
         to.mkdir()
         for at in range(FRAMES):
@@ -99,7 +98,7 @@ def said_of(source: Path, rig: Rig, mask: Path | None, out: Path) -> list[str]:
         source=str(source),
         rig=rig,
         mask=mask,
-        options=ReconstructOptions(to=Product.NORMALS, shadows=ShadowMethod.NONE),
+        options=ReconstructOptions(to=Product.NORMALS),
         folder=ReconstructionFolder(root=out),
     )
     try:

@@ -46,7 +46,7 @@ def compare(folder: Path, out: Path) -> dict[str, list[TrackError]]:
     for method in COMPARED:
         target = out / method
         track(TrackArguments(folder, method=Tracker(method), out=target))
-        moments[method] = write_checkerboard(folder, target).moments
+        moments[method] = write_checkerboard(folder, target)
         errors[method] = evaluate_tracks(target, out / "capture", every=10)
         write_track_errors(out / f"{method}.tsv", errors[method])
     write_moments(out / "checkerboards.png", moments)

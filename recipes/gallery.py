@@ -156,7 +156,7 @@ def moving(out: Path, work: Path, size: str, frames: int) -> None:
     """Track a dancer's sweater, print a checkerboard on it, dress a walking figure, open the viewer."""
     folder, _ = filmed("sweater", work, f"0:{frames}", size)
     vt.track(folder)
-    moments = write_checkerboard(folder, folder / "track").moments
+    moments = write_checkerboard(folder, folder / "track")
     chosen = [moments[k] for k in sorted(moments)][:: max(1, len(moments) // 4)][:4]
     row: dict[str, Picture] = {f"moment {k}": picture for k, picture in enumerate(chosen, start=1)}
     write_picture(out / "tracked.jpg", [row])

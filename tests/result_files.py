@@ -1,4 +1,4 @@
-"""Whole moving meshes written, and true flow read, for the tests of what a run writes frame by frame."""
+"""Whole moving meshes written, true flow and point clouds read, for the tests of what a run writes."""
 
 from __future__ import annotations
 
@@ -8,7 +8,10 @@ import numpy as np
 
 from vntoolkit.arrays import Flow
 from vntoolkit.geometry.mesh import MeshSequence
+from vntoolkit.geometry.point_cloud import PointCloud
+from vntoolkit.io.conventions import graphics_from_camera
 from vntoolkit.io.maps_and_meshes.exr import read_exr
+from vntoolkit.io.maps_and_meshes.ply import read_ply
 from vntoolkit.io.results.sequences import MeshSequenceWriter
 
 
@@ -24,3 +27,13 @@ def read_flow(path: Path | str) -> Flow:
     """Read optical flow (h, w, 2) in pixels from the channels du, dv of an EXR."""
     channels, _ = read_exr(path)
     return np.stack([channels["du"], channels["dv"]], axis=-1).astype(np.float32)
+
+
+def read_point_cloud(path: Path | str) -> PointCloud:
+    """Read the vertices of a PLY, with normals and colours, into the camera frame."""
+    content = read_ply(path)
+    return PointCloud(
+        points=graphics_from_camera(content.vertices),
+        normals=graphics_from_camera(content.normals),
+        colours=content.colours / np.float32(255),
+    )

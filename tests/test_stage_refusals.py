@@ -8,7 +8,7 @@ import pytest
 
 from vntoolkit import libraries
 from vntoolkit.calibration.ball_outline import Circle
-from vntoolkit.calibration.fit import fit_response
+from vntoolkit.calibration.fit import fit_by_trimming, fit_response
 from vntoolkit.calibration.sphere import sphere_normals
 from vntoolkit.errors import (
     BadCalibration,
@@ -26,7 +26,6 @@ from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.motion import Motion, Skeleton
 from vntoolkit.io.maps_and_meshes.usd import write_usd_sequence
 from vntoolkit.meshing.clean import clean_mesh
-from vntoolkit.options.calibration import FitMethod, ResponseFitOptions
 from vntoolkit.options.dressing import GarmentFitOptions
 from vntoolkit.options.export import MeshUpAxis
 from vntoolkit.options.simulation import Lighting, Nuisances, SceneOptions
@@ -48,15 +47,15 @@ def flat_map(height: int = 48, width: int = 64) -> NormalMap:
     return NormalMap(normals_in_camera=normals, mask=np.ones((height, width), dtype=bool))
 
 
-def test_colours_that_no_light_explains(rng):
+def test_colours_that_no_light_explains(rng, monkeypatch):
     normals = rng.normal(size=(300, 3))
     normals[:, 2] = -np.abs(normals[:, 2]) - 1
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     rgb = rgb_from_normals(normals, LightResponse(matrix=MATRIX))
     assert fit_response(normals, rgb).response.condition_number < 10
-    options = ResponseFitOptions(method=FitMethod.TRIMMED, shadow_share=0.99)
+    monkeypatch.setattr(fit_by_trimming, "__defaults__", (0.99,))
     with pytest.raises(BadCalibration, match="calibration: "):
-        fit_response(normals, np.abs(rng.normal(size=(300, 3))), options)
+        fit_response(normals, np.abs(rng.normal(size=(300, 3))))
 
 
 def outline(centre_px: float, points_px: np.ndarray) -> Circle:

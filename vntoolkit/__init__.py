@@ -20,7 +20,7 @@ Stages exchange these objects:
 Public names are imported on first use, so that `import vntoolkit` is fast.
 """
 
-__version__ = "0.1.0"
+__version__ = "1.0.0"
 
 TYPE_CHECKING = False  # nothing is imported here: a Ctrl-C before `main` leaves a traceback
 if TYPE_CHECKING:
@@ -76,7 +76,6 @@ if TYPE_CHECKING:
     from vntoolkit.options.reconstruction import ReconstructOptions as ReconstructOptions
     from vntoolkit.options.reconstruction import Product as Product
     from vntoolkit.options.reconstruction import MaterialSearch as MaterialSearch
-    from vntoolkit.options.reconstruction import DepthOffset as DepthOffset
     from vntoolkit.options.tracking import TrackingOptions as TrackingOptions
     from vntoolkit.options.tracking import Tracker as Tracker
     from vntoolkit.options.export import ExportFormat as ExportFormat

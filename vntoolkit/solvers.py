@@ -329,9 +329,9 @@ def _shares_kernel(edges: Grid, inverse: Grid, spans: Places, out: Grid) -> None
         a, b = spans[v]
         if a == b:
             continue
-        bond, beside, above, rest = edges[0, v, a:b], out[0, v, a:b], out[1, v, a:b], weak[: b - a]
+        weights, beside, above, rest = edges[0, v, a:b], out[0, v, a:b], out[1, v, a:b], weak[: b - a]
         for u in range(b - a):
-            east[u + 1] = max(bond[u], zero)
+            east[u + 1] = max(weights[u], zero)
             rest[u] = np.float32(_WEAK) / max(inverse[v, a + u], tiny)
         east[0] = east[b - a] = zero  # nothing is beyond the span
         west, own = east[: b - a], east[1:]
@@ -341,9 +341,9 @@ def _shares_kernel(edges: Grid, inverse: Grid, spans: Places, out: Grid) -> None
             beside[u] = outer / (outer + three * within + rest[u])
         outwards, inwards = (v, v - 1) if v % 2 else (v - 1, v)
         if 0 <= outwards < h - 1:
-            outer_bond, inner_bond = edges[1, outwards, a:b], edges[1, inwards, a:b]
+            outer_weights, inner_weights = edges[1, outwards, a:b], edges[1, inwards, a:b]
             for u in range(b - a):
-                outer, within = max(outer_bond[u], zero), max(inner_bond[u], zero)
+                outer, within = max(outer_weights[u], zero), max(inner_weights[u], zero)
                 above[u] = outer / (outer + three * within + rest[u])
         else:
             above[:] = zero
@@ -355,7 +355,7 @@ def _shares_kernel(edges: Grid, inverse: Grid, spans: Places, out: Grid) -> None
 
 @njit(cache=True, fastmath=True, error_model="numpy")
 def _gather_rows(edges: Grid, x: Grid, v: int, a: int, b: int, out: Row) -> None:
-    """Add to out (b - a,) what the rows above and below pull at the pixels from a to b of row v."""
+    """Add to out (b - a,) what the rows above and below give the pixels from a to b of row v."""
     w = b - a
     if v + 1 < len(x):
         below, down = x[v + 1, a:b], edges[1, v, a:b]
@@ -380,43 +380,43 @@ def _gather_rows(edges: Grid, x: Grid, v: int, a: int, b: int, out: Row) -> None
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def _pull_along(bond: Row, row: Row, out: Row) -> None:
-    """Fill out (w,) with what each pixel's neighbours in its row pull."""
+def _neighbour_sums(weights: Row, row: Row, out: Row) -> None:
+    """Fill out (w,) with the weighted sum of each pixel's neighbours in its row."""
     last = len(row) - 1
     if last < 1:
         out[:] = np.float32(0.0)
         return
-    inner, west, ahead, own = out[1:last], bond, row[2:], bond[1:]
-    out[0], out[last] = bond[0] * row[1], bond[last - 1] * row[last - 1]
+    inner, west, ahead, own = out[1:last], weights, row[2:], weights[1:]
+    out[0], out[last] = weights[0] * row[1], weights[last - 1] * row[last - 1]
     for u in range(last - 1):
         inner[u] = own[u] * ahead[u] + west[u] * row[u]
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
 def _solve_row(
-    edges: Grid, inverse: Grid, spans: Places, right: Grid, x: Grid, v: int, first: int, known: Row, pull: Row
+    edges: Grid, inverse: Grid, spans: Places, right: Grid, x: Grid, v: int, first: int, known: Row, sums: Row
 ) -> None:
     """Solve the pixels of one row whose column is even (first = 0) or odd (1), then the others."""
     a, b = spans[v]
-    row, scale, asked, bond = x[v, a:b], inverse[v, a:b], right[v, a:b], edges[0, v, a:b]
+    row, scale, asked, weights = x[v, a:b], inverse[v, a:b], right[v, a:b], edges[0, v, a:b]
     for u in range(len(row)):
         known[u] = asked[u]
     _gather_rows(edges, x, v, a, b, known[: b - a])
     for k in range(2):
         parity = first ^ k
-        _pull_along(bond, row, pull[: b - a])
+        _neighbour_sums(weights, row, sums[: b - a])
         for u in range(len(row)):
-            row[u] = (known[u] + pull[u]) * scale[u] if (u & 1) == parity else row[u]
+            row[u] = (known[u] + sums[u]) * scale[u] if (u & 1) == parity else row[u]
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
 def sweep_kernel(edges: Grid, inverse: Grid, spans: Places, right: Grid, x: Grid, forward: bool) -> None:
     """One Gauss–Seidel sweep over the four colours; backward, the reverse of that."""
     h, w = x.shape
-    known, pull = np.empty(w, np.float32), np.empty(w, np.float32)
+    known, sums = np.empty(w, np.float32), np.empty(w, np.float32)
     for k in range(2):
         for v in range(k if forward else 1 - k, h, 2):
-            _solve_row(edges, inverse, spans, right, x, v, 0 if forward else 1, known, pull)
+            _solve_row(edges, inverse, spans, right, x, v, 0 if forward else 1, known, sums)
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
@@ -425,13 +425,13 @@ def _descend(
 ) -> None:
     """Fill x with the forward sweep from 0, and coarse with what is left, by the transpose of `_ascend`."""
     h, w = x.shape
-    middle, room = _middle(h, w), _room(w)
+    middle, scratch = _middle(h, w), _scratch(w)
     coarse[...] = np.float32(0.0)
     if middle:
-        _first_row(edges, inverse, spans, right, x, middle, room[0], room[1])
+        _first_row(edges, inverse, spans, right, x, middle, scratch[0], scratch[1])
         _two_descents(edges, inverse, shares, spans, right, x, middle, coarse)
         for v in range(middle - 1, middle + 1):
-            _restrict_row(edges, shares, spans, x, v, coarse, room)
+            _restrict_row(edges, shares, spans, x, v, coarse, scratch)
     else:
         _descend_rows(edges, inverse, shares, spans, right, x, np.int64(0), h, coarse)
 
@@ -443,7 +443,7 @@ def _middle(h: int, w: int) -> int:
 
 
 @njit(cache=True, error_model="numpy")
-def _room(w: int) -> Grid:
+def _scratch(w: int) -> Grid:
     return np.empty((5, w + 5), np.float32)
 
 
@@ -463,45 +463,45 @@ def _descend_rows(
 ) -> None:  # fmt: skip
     """`_descend` from row top, solved before where that is not 0, to end; what both halves touch is left."""
     h, w = x.shape
-    room = _room(w)
-    known, pull = room[0], room[1]
+    scratch = _scratch(w)
+    known, sums = scratch[0], scratch[1]
     for v in range(top, end + 3, 2):
         if v < end and (v > top or top == 0):
-            _first_row(edges, inverse, spans, right, x, v, known, pull)
+            _first_row(edges, inverse, spans, right, x, v, known, sums)
         if top < v <= end:
-            _first_row(edges, inverse, spans, right, x, v - 1, known, pull)
+            _first_row(edges, inverse, spans, right, x, v - 1, known, sums)
         for i in range(max(v - 2, top), min(v, end)):
             if (i > top or top == 0) and (i < end - 1 or end == h):
-                _restrict_row(edges, shares, spans, x, i, coarse, room)
+                _restrict_row(edges, shares, spans, x, i, coarse, scratch)
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
 def _first_row(
-    edges: Grid, inverse: Grid, spans: Places, right: Grid, x: Grid, v: int, known: Row, pull: Row
+    edges: Grid, inverse: Grid, spans: Places, right: Grid, x: Grid, v: int, known: Row, sums: Row
 ) -> None:
     """`_solve_row` forward from 0, where even rows come first."""
     a, b = spans[v]
-    row, scale, asked, bond = x[v, a:b], inverse[v, a:b], right[v, a:b], edges[0, v, a:b]
+    row, scale, asked, weights = x[v, a:b], inverse[v, a:b], right[v, a:b], edges[0, v, a:b]
     for u in range(len(row)):
         known[u] = asked[u]
     if v % 2:
         _gather_rows(edges, x, v, a, b, known[: b - a])
     for u in range(len(row)):
         row[u] = known[u] * scale[u]
-    _pull_along(bond, row, pull[: b - a])
+    _neighbour_sums(weights, row, sums[: b - a])
     for u in range(len(row)):
-        row[u] += pull[u] * scale[u] if u & 1 else np.float32(0.0)
+        row[u] += sums[u] * scale[u] if u & 1 else np.float32(0.0)
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
 def _restrict_row(
-    edges: Grid, shares: Grid, spans: Places, x: Grid, v: int, coarse: Grid, room: Grid
+    edges: Grid, shares: Grid, spans: Places, x: Grid, v: int, coarse: Grid, scratch: Grid
 ) -> None:
     """Add what `_first_row` leaves in one row to the blocks that its corrections come from."""
     a, b = spans[v]
-    left, own, beside, first = room[1, : b - a], room[2], room[3], a // 2
+    left, own, beside, first = scratch[1, : b - a], scratch[2], scratch[3], a // 2
     side, along = shares[0, v, a:b], shares[1, v, a:b]
-    _pull_along(edges[0, v, a:b], x[v, a:b], left)
+    _neighbour_sums(edges[0, v, a:b], x[v, a:b], left)
     for u in range(len(left)):
         left[u] = np.float32(0.0) if u & 1 else left[u]
     if v % 2 == 0:
@@ -530,11 +530,11 @@ def _ascend(
 ) -> None:
     """Add the coarser grid's correction to x, and sweep back: the transpose of `_descend`."""
     h, w = x.shape
-    middle, room = _middle(h, w), _room(w)
+    middle, scratch = _middle(h, w), _scratch(w)
     if middle:
-        _prolong_row(coarse, shares, spans, middle, room, x)
+        _prolong_row(coarse, shares, spans, middle, scratch, x)
         _two_ascents(edges, inverse, shares, spans, right, coarse, middle, x)
-        _solve_row(edges, inverse, spans, right, x, middle, 1, room[0], room[1])
+        _solve_row(edges, inverse, spans, right, x, middle, 1, scratch[0], scratch[1])
     else:
         _ascend_rows(edges, inverse, shares, spans, right, coarse, np.int64(0), h, x)
 
@@ -554,22 +554,22 @@ def _ascend_rows(
     x: Grid,
 ) -> None:  # fmt: skip
     """`_ascend` from row top, corrected already and solved later where it is not 0, to row end."""
-    room = _room(x.shape[1])
+    scratch = _scratch(x.shape[1])
     if top == 0:
-        _prolong_row(coarse, shares, spans, 0, room, x)
+        _prolong_row(coarse, shares, spans, 0, scratch, x)
     for v in range(top + 1, end + 1, 2):
         for i in range(v, min(v + 2, end)):
-            _prolong_row(coarse, shares, spans, i, room, x)
+            _prolong_row(coarse, shares, spans, i, scratch, x)
         if v < end:
-            _solve_row(edges, inverse, spans, right, x, v, 1, room[0], room[1])
+            _solve_row(edges, inverse, spans, right, x, v, 1, scratch[0], scratch[1])
         if v - 1 > top or top == 0:
-            _solve_row(edges, inverse, spans, right, x, v - 1, 1, room[0], room[1])
+            _solve_row(edges, inverse, spans, right, x, v - 1, 1, scratch[0], scratch[1])
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def _prolong_row(coarse: Grid, shares: Grid, spans: Places, v: int, room: Grid, x: Grid) -> None:
+def _prolong_row(coarse: Grid, shares: Grid, spans: Places, v: int, scratch: Grid, x: Grid) -> None:
     a, b = spans[v]
-    own, beside, other = room[2], room[3], room[4]
+    own, beside, other = scratch[2], scratch[3], scratch[4]
     if a == b:
         return
     block, first, end = v // 2, a // 2, (b + 1) // 2

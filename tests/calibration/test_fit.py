@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from tests.attached_shadow import shaded_rgb_from_normals
-from vntoolkit.calibration.fit import Design, fit_by_trimming, fit_response
+from vntoolkit.calibration import fit as fitting
+from vntoolkit.calibration.fit import Design, fit_by_msac, fit_by_trimming, fit_response
 from vntoolkit.errors import BadCalibration, BadInput
 from vntoolkit.options.calibration import FitMethod, ResponseFitOptions, ResponseModel
 from vntoolkit.photometry.response import LightResponse, rgb_from_normals
@@ -27,11 +28,12 @@ def hemisphere(rng: np.random.Generator, count: int, cone_deg: float = 80.0) -> 
 
 @pytest.mark.parametrize("method", list(FitMethod))
 @pytest.mark.parametrize("model", list(ResponseModel))
-def test_matte_hemisphere_gives_the_response_back(rng, method, model) -> None:
+def test_matte_hemisphere_gives_the_response_back(rng, monkeypatch, method, model) -> None:
+    monkeypatch.setattr(fit_by_msac, "__defaults__", (2000, 0.01))
     truth = RESPONSE if model is ResponseModel.LINEAR else WITH_AMBIENT
     normals = hemisphere(rng, 3000)
     rgb = shaded_rgb_from_normals(normals, truth)
-    options = ResponseFitOptions(model=model, method=method, inlier_share=0.01)
+    options = ResponseFitOptions(model=model, method=method)
     fit = fit_response(normals, rgb, options, rng=rng, verb="sphere")
     atol = 1e-9 if method is FitMethod.TRIMMED else 0.005  # MSAC keeps the first hundredth of a shadow
     np.testing.assert_allclose(fit.response.matrix, truth.matrix, atol=atol)
@@ -54,25 +56,26 @@ def test_gloss_and_clipping_do_not_move_the_fit(rng) -> None:
     assert not fit.inliers[gloss | clipped].any()
 
 
-def test_msac_survives_forty_percent_of_wrong_pairs(rng) -> None:
+def test_msac_survives_forty_percent_of_wrong_pairs(rng, monkeypatch) -> None:
+    monkeypatch.setattr(fit_by_msac, "__defaults__", (2000, 0.03))
     normals = hemisphere(rng, 2000, 50)
     rgb = shaded_rgb_from_normals(normals, WITH_AMBIENT) + rng.normal(0, 0.003, (2000, 3))
     wrong = rng.random(2000) < 0.4
     rgb[wrong] = rng.uniform(0, 0.8, (wrong.sum(), 3))
-    options = ResponseFitOptions(model=ResponseModel.AMBIENT, method=FitMethod.MSAC, inlier_share=0.03)
+    options = ResponseFitOptions(model=ResponseModel.AMBIENT, method=FitMethod.MSAC)
     fit = fit_response(normals, rgb, options, rng=rng)
     np.testing.assert_allclose(fit.response.matrix, WITH_AMBIENT.matrix, atol=0.01)
     assert fit.inliers[wrong].mean() < 0.01
     assert fit.inliers[~wrong].mean() > 0.9
 
 
-def test_residual_is_the_injected_noise_from_both_sides(rng) -> None:
+def test_residual_is_the_injected_noise_from_both_sides(rng, monkeypatch) -> None:
+    monkeypatch.setattr(fitting, "_OUTLIER_SIGMAS", 9.0)
     normals = hemisphere(rng, 20000, 45)
     sigma = 0.004
     fit = fit_response(
         normals,
         rgb_from_normals(normals, RESPONSE) + rng.normal(0, sigma, normals.shape),
-        ResponseFitOptions(outlier_sigmas=9),
     )
     scatter = sigma * rng.normal(size=normals.shape) @ RESPONSE.inverse.T
     across = scatter - np.sum(scatter * normals, axis=1, keepdims=True) * normals
@@ -94,7 +97,7 @@ def test_a_channel_that_is_dark_everywhere_is_fitted_where_shadow_is_kept(rng) -
     truth = np.array([[0.3, 0.1, 0.2], [0.0, 0.4, 0.1], [0.2, 0.2, 0.5]])
     for colours in (normals @ truth - [0.0, 0.0, 5.0], normals @ truth * [1, 1, 0]):
         design = Design.from_pairs(normals, colours, with_ambient=True)
-        unknowns, inliers = fit_by_trimming(design, np.ones(200, bool), 0.0, 3.0, 30)
+        unknowns, inliers = fit_by_trimming(design, np.ones(200, bool), 0.0)
         assert inliers.all()
         np.testing.assert_allclose(design.rows @ unknowns, colours, atol=1e-9)
 

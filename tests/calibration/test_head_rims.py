@@ -6,7 +6,7 @@ import pytest
 from tests.calibration.test_head_refinement import skin_of
 from tests.calibration.turning_egg import AXES, CAMERA, DISTANCE, egg_surface, turning_poses
 from vntoolkit.calibration.head.positions import PositionSolver
-from vntoolkit.calibration.head.rims import RimTargets, rim_targets
+from vntoolkit.calibration.head.rims import rim_targets
 from vntoolkit.calibration.head.samples import LightFrame
 from vntoolkit.geometry.mesh import Mesh, vertex_normals
 from vntoolkit.photometry.frame import LinearFrame
@@ -45,9 +45,9 @@ def egg(grown_px=0.0):
 @pytest.mark.parametrize("grown_px", [-2.0, 0.0, 1.0, 2.0])
 def test_contours_call_a_mesh_back_that_is_too_large_or_too_small(grown_px):
     mesh = egg(grown_px)
-    targets = rim_targets(mesh, CAMERA, frames(), ROUND)
-    moves = ((targets.places - mesh.vertices) * mesh.normals).sum(axis=1) / PIXEL
-    held = targets.weight > np.median(targets.weight[targets.weight > 0])
+    places, weight = rim_targets(mesh, CAMERA, frames(), ROUND)
+    moves = ((places - mesh.vertices) * mesh.normals).sum(axis=1) / PIXEL
+    held = weight > np.median(weight[weight > 0])
     # contours of whole pixels are off by 0.3 px each
     assert np.median(moves[held]) == pytest.approx(-grown_px, abs=0.15)
     assert np.abs(moves[held] + grown_px).mean() < 0.3
@@ -55,7 +55,7 @@ def test_contours_call_a_mesh_back_that_is_too_large_or_too_small(grown_px):
 
 def test_only_vertices_that_some_frame_sees_edge_on_are_called():
     mesh = egg()
-    weight = rim_targets(mesh, CAMERA, frames(), ROUND).weight
+    _, weight = rim_targets(mesh, CAMERA, frames(), ROUND)
     cosines = []
     for pose in POSES:
         position = pose.apply(mesh.vertices)
@@ -69,7 +69,7 @@ def test_only_vertices_that_some_frame_sees_edge_on_are_called():
 def test_a_rim_that_no_lamp_reaches_is_not_called():
     above = LightResponse(matrix=np.array([[-0.3, -0.8, -0.5], [0.3, -0.8, -0.5], [0.0, -0.8, -0.6]]))
     mesh = egg()
-    weight = rim_targets(mesh, CAMERA, frames(), above).weight
+    _, weight = rim_targets(mesh, CAMERA, frames(), above)
     assert not weight[mesh.normals[:, 1] > 0.8].any()
     assert weight[mesh.normals[:, 1] < -0.8].any()
 
@@ -80,14 +80,14 @@ def test_a_contour_where_little_light_arrives_counts_less():
         return mask * np.where(columns < CAMERA.matrix[0, 2], 0.5, 0.05)
 
     mesh = egg()
-    weight = rim_targets(mesh, CAMERA, frames(half_dark), ROUND).weight
+    _, weight = rim_targets(mesh, CAMERA, frames(half_dark), ROUND)
     right = mesh.vertices[:, 0] > 0.9 * AXES[0]
     left = mesh.vertices[:, 0] < -0.9 * AXES[0]
     assert weight[right].sum() < 0.1 * weight[left].sum()
 
 
 def test_what_is_farther_off_than_four_pixels_is_no_rim_of_this_contour():
-    assert not rim_targets(egg(6.0), CAMERA, frames(), ROUND).weight.any()
+    assert not rim_targets(egg(6.0), CAMERA, frames(), ROUND)[1].any()
 
 
 def test_held_vertices_go_to_their_places_and_take_their_neighbours_along():
@@ -96,7 +96,7 @@ def test_held_vertices_go_to_their_places_and_take_their_neighbours_along():
     ring = np.abs(mesh.normals[:, 2]) < 0.05
     places = mesh.vertices + PIXEL * mesh.normals
     density = (0.5 * PIXEL) ** 2 * (16 * PIXEL) ** 2  # stereo is off by half a pixel over 16 by 16
-    solver.add_contours(RimTargets(places=places, weight=ring / (0.1 * PIXEL) ** 2), density)
+    solver.add_contours(places, ring / (0.1 * PIXEL) ** 2, density)
     moved = ((solver.positions() - mesh.vertices) * mesh.normals).sum(axis=1) / PIXEL
     assert moved[ring].mean() == pytest.approx(1.0, abs=0.1)
     beside = (np.abs(mesh.normals[:, 2]) > 0.1) & (np.abs(mesh.normals[:, 2]) < 0.2)

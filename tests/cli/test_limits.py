@@ -15,8 +15,8 @@ from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.mesh import Mesh, MeshSequence
 from vntoolkit.io.files import limited_to, reading_limits
 from vntoolkit.io.footage.image_writing import write_png
-from vntoolkit.io.footage.images import read_image
-from vntoolkit.io.maps_and_meshes.meshes import read_mesh, read_point_cloud, write_mesh
+from vntoolkit.io.footage.images import read_image, read_opaque_image
+from vntoolkit.io.maps_and_meshes.meshes import read_mesh, write_mesh
 from vntoolkit.io.results.manifest import ReconstructionFolder
 from vntoolkit.io.rigs import read_rig, write_rig
 from vntoolkit.options.footage import ReadingLimits
@@ -107,13 +107,13 @@ def test_a_file_too_long_for_its_vertices_is_refused_unread(tmp_path):
         read_mesh(tmp_path / "a.obj")
     write_mesh(tmp_path / "a.ply", TRIANGLE)
     with limited_to(ReadingLimits(max_vertices=2)), pytest.raises(BadMesh, match="3 vertices are more"):
-        read_point_cloud(tmp_path / "a.ply")
+        read_mesh(tmp_path / "a.ply")
 
 
 def test_limits_end_with_their_block_and_a_call_may_set_its_own(tmp_path):
     write_png(tmp_path / "a.png", np.zeros((30, 40, 3), dtype=np.uint8))
     with limited_to(ReadingLimits(max_megapixels=0.001)):
-        assert read_image(tmp_path / "a.png", max_megapixels=1).shape == (30, 40, 3)
+        assert read_opaque_image(tmp_path / "a.png", max_megapixels=1).rgb.shape == (30, 40, 3)
         with pytest.raises(BadCapture):
             read_image(tmp_path / "a.png")
     assert reading_limits() == ReadingLimits()

@@ -54,6 +54,15 @@ def test_wide_bounds_within_a_masked_subject_name_no_wall() -> None:
     assert backdrop_in(alone) is None
 
 
+def test_dark_hair_that_only_a_rim_joins_to_the_border_is_no_wall() -> None:
+    v, u = np.indices(SHAPE)
+    mask = (np.hypot(v - 45, u - 60) < 30) | ((np.abs(u - 60) < 15) & (v > 45))
+    rim = mask & ~(cv2.erode(mask.astype(np.uint8), np.ones((7, 7), np.uint8), borderValue=1) > 0)
+    errors = np.where(rim | (v < 40), 70.0, 3.0 + 0.05 * v)
+    normals = np.where(mask[..., None], [0.0, 0.0, -1.0], 0.0).astype(np.float32)
+    assert backdrop_in(NormalMap(normals_in_camera=normals, mask=mask, error_deg=errors)) is None
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["buddha", "cat"])
 def test_the_wall_behind_real_statues_is_named_with_a_mask(name, real_data, tmp_path):

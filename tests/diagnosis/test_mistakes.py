@@ -11,7 +11,7 @@ import pytest
 from tests.faults.simulated_captures import random_response
 from vntoolkit.diagnosis.evidence import FEW_PIXELS, PIXELS_BETWEEN_SEAMS, evidence_from_frames
 from vntoolkit.diagnosis.finding import FatalFinding, Finding, Level, judge
-from vntoolkit.diagnosis.flicker import check_bands, check_flicker
+from vntoolkit.diagnosis.flicker import check_flicker
 from vntoolkit.diagnosis.inspection import findings_from_evidence, findings_from_frames
 from vntoolkit.diagnosis.rig_checks import check_residual, check_stated_focal, check_zoom, findings_from_rig
 from vntoolkit.diagnosis.transfer_match import check_transfer, check_transfer_of_samples
@@ -360,7 +360,7 @@ def test_bands_of_a_rolling_shutter_are_found_and_a_subject_that_moves_has_none(
     fast = _in_a_row(shift_px=4.0)[0]
     down = [LinearFrame(rgb=np.roll(f.rgb, 5 * k, axis=0), number=k) for k, f in enumerate(frames)]
     for moving in (frames, fast, down):
-        assert check_bands(evidence_from_frames(moving, rig, Transfer())) == []
+        assert check_flicker(evidence_from_frames(moving, rig, Transfer())) == []
     rows = np.arange(H)[:, None] / H
     banded = [
         LinearFrame(
@@ -371,7 +371,7 @@ def test_bands_of_a_rolling_shutter_are_found_and_a_subject_that_moves_has_none(
         )
         for k, f in enumerate(frames)
     ]
-    (found,) = check_bands(evidence_from_frames(banded, rig, Transfer()))
+    (found,) = check_flicker(evidence_from_frames(banded, rig, Transfer()))
     assert found.check == "flicker"
     assert "bands" in found.text
 

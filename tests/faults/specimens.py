@@ -34,7 +34,7 @@ from vntoolkit.io.maps_and_meshes.maps import (
     write_normal_map,
 )
 from vntoolkit.io.maps_and_meshes.masks import read_mask, write_mask
-from vntoolkit.io.maps_and_meshes.meshes import read_mesh, read_point_cloud, write_mesh
+from vntoolkit.io.maps_and_meshes.meshes import read_mesh, write_mesh
 from vntoolkit.io.motion.asf import read_asf_amc
 from vntoolkit.io.motion.bvh import read_bvh
 from vntoolkit.io.motion.garment_fits import read_garment_fit
@@ -93,7 +93,6 @@ KINDS: dict[str, Kind] = {
     "depth": Kind(read=read_depth_map, judge=lambda d: _finite(d.depth)),
     "mesh": Kind(read=read_mesh, judge=_judge_mesh),
     "textured": Kind(read=read_mesh, judge=_judge_mesh),
-    "points": Kind(read=read_point_cloud, judge=lambda cloud: _finite(cloud.points, cloud.normals)),
     "moving": Kind(read=_read_moving_mesh, judge=lambda s: _finite(np.asarray(s.vertices))),
     "bvh": Kind(read=read_bvh, judge=lambda m: _finite(m.rotations, m.root_positions)),
     "acclaim": Kind(
@@ -283,7 +282,7 @@ def _write_meshes(folder: Path) -> list[tuple[str, Path]]:
     write_mesh_sequence(folder / "moving", moving)
     return [
         *(("mesh", folder / name) for name in ("a.ply", "ascii.ply", "big.ply")),
-        ("textured", folder / "a.obj"), ("points", folder / "a.ply"), ("moving", folder / "moving"),
+        ("textured", folder / "a.obj"), ("moving", folder / "moving"),
     ]  # fmt: skip
 
 

@@ -8,7 +8,8 @@ import pytest
 
 from tests.io.footage.test_stated_facts import film
 from vntoolkit.errors import BadCapture
-from vntoolkit.io.footage.video import VideoReader, check_slices, write_video
+from vntoolkit.io.footage.video import VideoReader, write_video
+from vntoolkit.io.footage.video_index import check_slices
 
 
 @pytest.fixture

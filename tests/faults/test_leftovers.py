@@ -8,8 +8,8 @@ import pytest
 
 from tests.dome_result import dome_result
 from vntoolkit.io.atomic import atomic_path, require_writable_folder
-from vntoolkit.options.export import ExportFormat, ExportOptions
-from vntoolkit.pipeline.export import ExportJob, export
+from vntoolkit.options.export import ExportArguments, ExportFormat
+from vntoolkit.pipeline.export import export
 
 __all__ = ["dome_result"]
 
@@ -55,6 +55,6 @@ def test_what_a_killed_export_left_is_removed(tmp_path, dead, dome_result, name)
     place.mkdir(exist_ok=True)
     left = place / f".a.{dead}.part.usdc"
     left.write_bytes(b"0")
-    export(ExportJob(folder=dome_result.folder, options=ExportOptions(to=to), out=tmp_path / name))
+    export(ExportArguments(dome_result.folder, to=to, out=tmp_path / name))
     assert not left.exists()
     assert any(path.is_file() for path in place.iterdir())

@@ -10,6 +10,7 @@ from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.integration.edges import EdgeField, edges_from_slopes
 from vntoolkit.integration.integrate import DepthIntegrator
 from vntoolkit.integration.poisson import MaskedSolver
+from vntoolkit.integration.slopes import rays_from_camera, slopes_from_normals
 from vntoolkit.options.depth import IntegrationOptions, Integrator
 
 POISSON = IntegrationOptions(integrator=Integrator.POISSON)
@@ -109,9 +110,11 @@ def test_a_doubtful_pixel_counts_less_and_a_hopeless_one_not_at_all():
 def test_running_out_of_iterations_is_said():
     _, normals = peaks(128)
     mask = disc_with_hole(128)
-    options = IntegrationOptions(integrator=Integrator.POISSON, most_iterations=2)
+    edges = edges_from_slopes(
+        *slopes_from_normals(normals, rays_from_camera(Camera.orthographic(width=128, height=128))), mask
+    )
     with pytest.raises(SolverFailed, match="did not converge in 2 iterations"):
-        integrator_of(mask, options).integrate(NormalMap(normals_in_camera=normals, mask=mask))
+        MaskedSolver(mask, most_iterations=2).solve(edges)
 
 
 def weights_at_random(weight, rng):

@@ -7,9 +7,10 @@ from analytic_surfaces import largest_error, normals_from_gradient, peaks, spher
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera, CameraModel
 from vntoolkit.geometry.maps import LengthUnit, NormalMap
-from vntoolkit.integration.integrate import DepthIntegrator
-from vntoolkit.integration.poisson import CosineSolver
-from vntoolkit.options.depth import IntegrationOptions, Integrator, Precision
+from vntoolkit.integration.integrate import DepthIntegrator, divergence_from_slopes
+from vntoolkit.integration.poisson import CosineSolver, FourierSolver
+from vntoolkit.integration.slopes import slopes_from_normals
+from vntoolkit.options.depth import IntegrationOptions, Integrator
 
 LEAST_SQUARES = [Integrator.FOURIER, Integrator.COSINE, Integrator.POISSON]
 
@@ -44,7 +45,7 @@ def test_the_error_falls_with_the_fourth_power_of_the_pixel():
     errors = []
     for size in (64, 128):
         depth, normals = peaks(size)
-        found = integrate(normals, integrator=Integrator.COSINE, precision=Precision.DOUBLE)
+        found = integrate(normals, integrator=Integrator.COSINE)
         errors.append(largest_error(found.depth, depth, found.mask))
     assert 2**3.5 < errors[0] / errors[1] < 2**4.6
 
@@ -66,16 +67,16 @@ def test_single_precision_loses_nothing_of_the_lowest_frequencies(rng, shape):
 
 
 def test_fourier_on_the_mirrored_image_is_the_cosine_solution(rng):
-    rough = normals_from_gradient(*rng.normal(size=(2, 60, 77)))
-    cosine = integrate(rough, integrator=Integrator.COSINE, precision=Precision.DOUBLE).depth
-    fourier = integrate(rough, integrator=Integrator.FOURIER, precision=Precision.DOUBLE).depth
+    rough = divergence_from_slopes(*rng.normal(size=(2, 60, 77)).astype(np.float32))
+    cosine = CosineSolver(60, 77, np.float64).solve(rough.copy())
+    fourier = FourierSolver(60, 77, np.float64).solve(rough.copy())
     assert np.abs(cosine - fourier).max() < 1e-10 * np.ptp(cosine)
 
 
 def test_poisson_and_cosine_agree_on_slopes_that_no_surface_has(rng):
     rough = normals_from_gradient(*rng.normal(size=(2, 60, 77)))
-    cosine = integrate(rough, integrator=Integrator.COSINE, precision=Precision.DOUBLE).depth
-    poisson = integrate(rough, integrator=Integrator.POISSON, tolerance=1e-10).depth
+    cosine = integrate(rough, integrator=Integrator.COSINE).depth
+    poisson = integrate(rough, integrator=Integrator.POISSON).depth
     assert np.abs(cosine - poisson).max() < 1e-5 * np.ptp(cosine)
 
 
@@ -131,12 +132,13 @@ def test_a_distorted_camera_sees_the_same_plane():
 
 
 @pytest.mark.parametrize("integrator", list(Integrator))
-def test_backward_and_grazing_normals_do_not_explode(integrator):
+def test_backward_and_grazing_normals_do_not_explode(integrator, monkeypatch):
+    monkeypatch.setattr(slopes_from_normals, "__defaults__", (80.0,))
     normals = np.tile(np.float32([0.0, 0.0, -1.0]), (40, 40, 1))
     normals[20, 20] = [0.9999, 0.0, -0.0141]
     if integrator not in RECTANGLE:  # the others refuse a map with a normal that faces away: below
         normals[10, 10] = [0.6, 0.0, 0.8]
-    found = integrate(normals, integrator=integrator, steepest_slope_deg=80.0).depth[normals[..., 2] < 0]
+    found = integrate(normals, integrator=integrator).depth[normals[..., 2] < 0]
     limit = np.tan(np.deg2rad(80.0))  # of one pixel's slope, shared by its two edges
     assert np.isfinite(found).all()
     assert np.ptp(found) < 2 * limit

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.result_files import read_flow
+from tests.result_files import read_flow, read_point_cloud
 from vntoolkit.errors import BadInput, BadMesh
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
 from vntoolkit.geometry.mesh import Mesh, vertex_normals
@@ -20,7 +20,6 @@ from vntoolkit.io.maps_and_meshes.maps import (
 )
 from vntoolkit.io.maps_and_meshes.meshes import (
     read_mesh,
-    read_point_cloud,
     write_mesh,
     write_point_cloud,
 )

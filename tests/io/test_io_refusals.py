@@ -19,7 +19,6 @@ from vntoolkit.io.files import require_file, require_inside, sha256_of_file
 from vntoolkit.io.footage.image_writing import encoded_image, write_png
 from vntoolkit.io.footage.images import read_image
 from vntoolkit.io.footage.video import write_video
-from vntoolkit.io.light_files import read_lights
 from vntoolkit.io.maps_and_meshes.arrays import map_npy, read_npz
 from vntoolkit.io.maps_and_meshes.exr import read_exr, write_exr
 from vntoolkit.io.maps_and_meshes.label_images import read_labels, write_labels
@@ -197,31 +196,6 @@ def test_a_frame_log_that_is_no_file(tmp_path):
         FrameLog(tmp_path).entries()
     with pytest.raises(CannotWrite, match=r"cannot write .*frames\.log"):
         FrameLog(tmp_path).append(FrameEntry(number=0, seconds=1.0))
-
-
-@pytest.mark.parametrize(
-    ("files", "line"),
-    [
-        ({"light_directions.txt": "0 1\n1 0\n"}, "expected 3 numbers a light, got 2"),
-        (
-            {"light_directions.txt": "0 0 1\n", "light_intensities.txt": "1 1\n"},
-            "holds 1 rows of 2, expected 1",
-        ),
-        (
-            {"light_directions.txt": "0 0 1\n", "filenames.txt": "a\nb"},
-            "names 2 images for 1 light directions",
-        ),
-        ({"light_directions.txt": "0 0 1\n0 1\n"}, "line 2 holds 2 numbers, those before 3"),
-        ({"light_directions.txt": "2\n0 0 1\n"}, "promises 2 lights, holds 1"),
-        ({"light_directions.txt": "0 0 nan\n"}, "holds NaN or infinity"),
-        ({"light_directions.txt": "# nothing\n"}, "holds no light; expected x y z"),
-    ],
-)
-def test_folders_of_lights_that_do_not_agree(tmp_path, files, line):
-    for name, text in files.items():
-        (tmp_path / name).write_text(text)
-    with pytest.raises(BadInput, match=line):
-        read_lights(tmp_path)
 
 
 @pytest.mark.parametrize(

@@ -33,25 +33,23 @@ def test_diligent_folder(tmp_path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "message"),
+    ("files", "line"),
     [
-        ("3\n0 0 1\n", "promises 3 lights, holds 1"),
-        ("0 0 1\n0 1\n", "line 2 holds 2 numbers"),
-        ("0 0 1\nnorth\n", "line 2 is not a row of numbers"),
-        ("0 0\n0 1\n", "expected 3 or 6 numbers"),
-        ("# nothing\n", "holds no light"),
-        ("0 0 nan\n", "NaN"),
+        ({"lights.txt": "3\n0 0 1\n"}, "promises 3 lights, holds 1"),
+        ({"lights.txt": "0 0 1\n0 1\n"}, "line 2 holds 2 numbers, those before 3"),
+        ({"lights.txt": "0 0 1\nnorth\n"}, "line 2 is not a row of numbers"),
+        ({"lights.txt": "0 0\n0 1\n"}, "expected 3 or 6 numbers"),
+        ({"lights.txt": "# nothing\n"}, "holds no light; expected x y z"),
+        ({"lights.txt": "0 0 nan\n"}, "holds NaN or infinity"),
+        ({"light_directions.txt": "0 1\n1 0\n"}, "expected 3 numbers a light, got 2"),
+        ({"light_directions.txt": "0 0 1\n", "light_intensities.txt": "1 1\n"},
+         "holds 1 rows of 2, expected 1"),
+        ({"light_directions.txt": "0 0 1\n", "filenames.txt": "a\nb"},
+         "names 2 images for 1 light directions"),
     ],
-)
-def test_damaged_files_are_refused(tmp_path, text, message) -> None:
-    path = tmp_path / "lights.txt"
-    path.write_text(text)
-    with pytest.raises(BadInput, match=message):
-        read_lights(path)
-
-
-def test_folder_whose_files_disagree_is_refused(tmp_path) -> None:
-    (tmp_path / "light_directions.txt").write_text("0 0 1\n0 0.6 0.8\n")
-    (tmp_path / "filenames.txt").write_text("001.png\n")
-    with pytest.raises(BadInput, match="names 1 images for 2"):
-        read_lights(tmp_path)
+)  # fmt: skip
+def test_damaged_files_are_refused(tmp_path, files, line) -> None:
+    for name, text in files.items():
+        (tmp_path / name).write_text(text)
+    with pytest.raises(BadInput, match=line):
+        read_lights(tmp_path / "lights.txt" if "lights.txt" in files else tmp_path)

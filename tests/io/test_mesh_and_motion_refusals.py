@@ -43,7 +43,7 @@ LISTS, ROWS_OF_LISTS = "list uchar float", "1 0 1 0 1 0\n2 0 0 1 0 1 0\n1 1 1 0 
         ("a.ply", f"{BINARY}element vertex 2\n{XYZ}end_header\n0123456", "'vertex' is malformed or cut off"),
         ("a.ply", f"{BINARY}element vertex 4000000000\n{XYZ}end_header\n", "promises 4000000000 rows"),
         ("a.ply", f"{POINT}end_header\n0 nan 0\n", "NaN or infinite"),
-        ("a.ply", f"{POINT}end_header\n0 0 0\n", "holds points but no faces; read it as a point cloud"),
+        ("a.ply", f"{POINT}end_header\n0 0 0\n", "holds points but no faces, expected a mesh"),
         ("a.ply", "ply\nelement vertex 0\nend_header\n", "the PLY header names no format"),
         ("a.ply", f"{ASCII}cheese\nend_header\n", "unknown line in the PLY header: 'cheese'"),
         ("a.ply", f"{POINT}property quaternion q\nend_header\n",

@@ -7,8 +7,7 @@ from tests.usd_reading import read_usd_sequence
 from vntoolkit.errors import BadInput, BadMesh
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.io.maps_and_meshes.glb import write_glb
-from vntoolkit.io.maps_and_meshes.meshes import read_mesh, read_point_cloud
-from vntoolkit.io.maps_and_meshes.ply import read_ply_counts
+from vntoolkit.io.maps_and_meshes.meshes import read_mesh
 from vntoolkit.io.maps_and_meshes.usd import write_usd_sequence
 from vntoolkit.io.results.sequences import MeshSequenceWriter, read_mesh_sequence
 
@@ -32,18 +31,13 @@ def test_whole_numbers_are_positions_too(tmp_path):
     (tmp_path / "a.ply").write_text(ply_text(kind="uchar"))
     mesh = read_mesh(tmp_path / "a.ply")
     assert mesh.vertices.tolist() == [[0, 0, 0], [1, 0, 0], [0, -1, 0]]
-    assert read_point_cloud(tmp_path / "a.ply").points.dtype == np.float64
+    assert mesh.vertices.dtype == np.float64
 
 
 def test_colours_of_16_bits_keep_their_share_of_full_scale(tmp_path):
     rows = "0 0 0 32896 0 65535\n1 0 0 0 0 0\n0 1 0 0 0 0\n"
     (tmp_path / "a.ply").write_text(ply_text(colour="ushort", rows=rows))
     assert read_mesh(tmp_path / "a.ply").colours[0] == pytest.approx([128 / 255, 0, 1])
-
-
-def test_a_header_without_a_count_counts_nothing(tmp_path):
-    (tmp_path / "a.ply").write_text("ply\nelement vertex many\nelement face 2\nend_header\n")
-    assert read_ply_counts(tmp_path / "a.ply") == {"face": 2}
 
 
 @pytest.mark.parametrize("rate", [0.0, -1.0, np.nan, np.inf])

@@ -14,6 +14,7 @@ from rerun.chunk import RrdReader
 from tests.dome_result import DomeResult, dome_result
 from tests.each_step import EachStep
 from tests.io.test_recordings import messages_of
+from tests.result_files import read_point_cloud
 from tests.skinning.test_glb_export import accessor, chunks
 from tests.usd_reading import complaints
 from vntoolkit.errors import BadInput
@@ -26,11 +27,11 @@ from vntoolkit.io.light_files import read_lights
 from vntoolkit.io.maps_and_meshes.arrays import StreamedArray, write_npz
 from vntoolkit.io.maps_and_meshes.maps import read_depth_map, read_normal_map
 from vntoolkit.io.maps_and_meshes.masks import read_mask
-from vntoolkit.io.maps_and_meshes.meshes import read_mesh, read_point_cloud
+from vntoolkit.io.maps_and_meshes.meshes import read_mesh
 from vntoolkit.io.results.sequences import read_mesh_sequence
 from vntoolkit.normals.photometric_stereo import normals_from_lights
 from vntoolkit.options.export import (
-    CleanOptions,
+    ExportArguments,
     ExportedSurface,
     ExportFormat,
     ExportOptions,
@@ -39,7 +40,7 @@ from vntoolkit.options.export import (
     NormalConvention,
 )
 from vntoolkit.options.tracking import TrackArguments
-from vntoolkit.pipeline.export import ExportJob, export
+from vntoolkit.pipeline.export import export
 from vntoolkit.pipeline.track import track
 from vntoolkit.progress import heard_by
 
@@ -48,8 +49,7 @@ FRAMES = "0:3"
 
 
 def exported(result: DomeResult, out: Path | None, to: ExportFormat, **options: object) -> Path:
-    job = ExportJob(folder=result.folder, options=ExportOptions(to=to, **options), out=out, frames=FRAMES)
-    return export(job).out
+    return export(ExportArguments(result.folder, to=to, out=out, frames=FRAMES, **options)).out
 
 
 def points_of(path: Path, time: float) -> np.ndarray:
@@ -73,9 +73,9 @@ def test_every_frame_is_played_at_the_time_it_was_filmed(dome_result: DomeResult
         filmed = times[kept] - times[kept[0]]
         made = {}
         for to, mesh in (("glb", "tracked"), ("usd", "tracked"), ("usd", "frames")):
-            options = ExportOptions(to=to, mesh=mesh, scale=0.01)
+            options = {"to": to, "mesh": mesh, "scale": 0.01}
             out = tmp_path / f"{len(kept)}_{mesh}.{to}"
-            made[to, mesh] = export(ExportJob(folder=folder, options=options, out=out, frames=frames)).out
+            made[to, mesh] = export(ExportArguments(folder, out=out, frames=frames, **options)).out
         document, binary = chunks(made["glb", "tracked"])
         sampler = document["animations"][0]["samplers"][0]
         shown = accessor(document, binary, sampler["input"]).ravel()
@@ -200,7 +200,7 @@ def test_a_diligent_folder_gives_the_normals_by_classical_stereo(dome_result, tm
 
 
 def test_an_interrupted_export_goes_on(dome_result: DomeResult, tmp_path: Path) -> None:
-    job = ExportJob(folder=dome_result.folder, options=ExportOptions(to=ExportFormat.PLY), out=tmp_path)
+    job = ExportArguments(dome_result.folder, to=ExportFormat.PLY, out=tmp_path)
     seen: list[int] = []
 
     def interrupt() -> None:
@@ -212,20 +212,16 @@ def test_an_interrupted_export_goes_on(dome_result: DomeResult, tmp_path: Path) 
         export(job)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["000000.ply", "000001.ply", "export.json"]
     assert export(job).kept == 2
-    other = ExportJob(
-        folder=dome_result.folder, options=ExportOptions(to=ExportFormat.PLY, up=MeshUpAxis.Z), out=tmp_path
-    )
+    other = ExportArguments(dome_result.folder, to=ExportFormat.PLY, up=MeshUpAxis.Z, out=tmp_path)
     with pytest.raises(BadInput, match=r"an export made differently: options\.up \(y → z\).*; add --overwr"):
         export(other)
-    assert export(other, overwrite=True).kept == 0
+    assert export(replace(other, overwrite=True)).kept == 0
 
 
 def test_overwriting_leaves_no_frame_of_another_format(dome_result: DomeResult, tmp_path: Path) -> None:
     exported(dome_result, tmp_path, ExportFormat.NPZ)
-    job = ExportJob(
-        folder=dome_result.folder, options=ExportOptions(to=ExportFormat.PNG), out=tmp_path, frames=FRAMES
-    )
-    export(job, overwrite=True)
+    job = ExportArguments(dome_result.folder, to=ExportFormat.PNG, out=tmp_path, frames=FRAMES)
+    export(replace(job, overwrite=True))
     names = ["000000.png", "000001.png", "000002.png", "export.json"]
     assert sorted(path.name for path in tmp_path.iterdir()) == names
 
@@ -238,8 +234,8 @@ def test_a_refused_export_writes_nothing(dome_result: DomeResult, tmp_path: Path
         exported(DomeResult(folder, folder), tmp_path / "out", ExportFormat.PLY, **options)
     with pytest.raises(BadInput, match=r"a\.glb: expected the name of a folder, for one \.glb a frame"):
         exported(dome_result, tmp_path / "a.glb", ExportFormat.GLB, **options)
-    moved = ExportJob(
-        folder=dome_result.folder, options=ExportOptions(to=ExportFormat.DILIGENT), out=tmp_path / "out",
+    moved = ExportArguments(
+        dome_result.folder, to=ExportFormat.DILIGENT, out=tmp_path / "out",
         footage="nowhere.mkv",
     )  # fmt: skip
     with pytest.raises(BadInput, match=r"nowhere\.mkv: no such file"):
@@ -249,7 +245,7 @@ def test_a_refused_export_writes_nothing(dome_result: DomeResult, tmp_path: Path
 
 def test_what_has_changed_is_written_again(dome_result: DomeResult, tmp_path: Path) -> None:
     folder = shutil.copytree(dome_result.folder, tmp_path / "result")
-    job = ExportJob(folder=folder, options=ExportOptions(to=ExportFormat.PNG))
+    job = ExportArguments(folder, to=ExportFormat.PNG)
     count = export(job).frames
     later = (folder / "export/png/000002.png").stat().st_mtime + 5
     os.utime(folder / "normals/000002.exr", (later, later))
@@ -260,9 +256,8 @@ def test_an_animation_that_fails_leaves_nothing(dome_result: DomeResult, tmp_pat
     folder = shutil.copytree(dome_result.folder, tmp_path / "result")
     (folder / "mesh/000002.ply").write_bytes(b"ply\n")
     out = tmp_path / "out"
-    options = ExportOptions(to=ExportFormat.USD, mesh=ExportedSurface.FRAMES)
     with pytest.raises(BadInput, match=r"000002\.ply"):
-        export(ExportJob(folder=folder, options=options, out=out / "a.usdc"))
+        export(ExportArguments(folder, to="usd", mesh="frames", out=out / "a.usdc"))
     assert list(out.iterdir()) == []
 
 
@@ -304,7 +299,7 @@ def test_stl_holds_the_triangles_in_millimetres(dome_result: DomeResult, tmp_pat
 def test_recordings_of_a_tracked_surface(dome_result: DomeResult, tmp_path: Path) -> None:
     """All opened frames at their times: with pictures and mesh for Rerun, with the depth as messages."""
     job = {"folder": dome_result.folder, "frames": "::2"}
-    rrd = ExportJob(options=ExportOptions(to=ExportFormat.RRD, scale=0.001), out=tmp_path / "a.rrd", **job)
+    rrd = ExportArguments(to="rrd", scale=0.001, out=tmp_path / "a.rrd", **job)
     summary = export(rrd)
     assert summary.is_tracked
     found: dict[str, list[float]] = {}
@@ -315,7 +310,7 @@ def test_recordings_of_a_tracked_surface(dome_result: DomeResult, tmp_path: Path
     for name in ("/picture", "/normals", "/depth", "/surface", "/error_deg"):
         np.testing.assert_allclose(sorted(found[name]), times, atol=1e-8)
     assert "/contact" not in found
-    out = export(ExportJob(options=ExportOptions(to=ExportFormat.MCAP), **job)).out
+    out = export(ExportArguments(to="mcap", **job)).out
     depths = [each for each in messages_of(out) if each[0] == "/vntoolkit/depth"]
     np.testing.assert_allclose([time for _, time, _ in depths], 1e9 * times, atol=1)
     stored = read_depth_map(dome_result.folder / "depth" / "000004.exr")
@@ -324,12 +319,12 @@ def test_recordings_of_a_tracked_surface(dome_result: DomeResult, tmp_path: Path
 
 
 def test_cleaned_meshes_have_the_faces_asked_for(dome_result: DomeResult, tmp_path: Path) -> None:
-    cleaning = CleanOptions(most_faces=300)
+    cleaning = {"most_faces": 300}
     with pytest.raises(BadInput, match="add --mesh frames"):
-        exported(dome_result, tmp_path, ExportFormat.PLY, cleaning=cleaning)
+        exported(dome_result, tmp_path, ExportFormat.PLY, **cleaning)
     with pytest.raises(BadInput, match="cleaning is for meshes, and npz has none"):
-        exported(dome_result, tmp_path, ExportFormat.NPZ, cleaning=cleaning)
-    out = exported(dome_result, tmp_path, ExportFormat.PLY, mesh=ExportedSurface.FRAMES, cleaning=cleaning)
+        exported(dome_result, tmp_path, ExportFormat.NPZ, **cleaning)
+    out = exported(dome_result, tmp_path, ExportFormat.PLY, mesh=ExportedSurface.FRAMES, **cleaning)
     mesh, whole = read_mesh(out / "000001.ply"), read_mesh(dome_result.folder / "mesh/000001.ply")
     assert 200 < len(mesh.faces) <= 300 < len(whole.faces)
     assert mesh_distance(mesh, whole).mean_percent < 0.5
@@ -356,11 +351,9 @@ def test_files_for_inspection(
 ) -> None:
     out = exported(dome_result, tmp_path / "out", to, **options)
     assert {name for name in names if (out / name).stat().st_size > 0} == set(names)
-    job = ExportJob(
-        folder=dome_result.folder, options=ExportOptions(to=to, **options), out=out, frames=FRAMES
-    )
+    job = ExportArguments(dome_result.folder, to=to, **options, out=out, frames=FRAMES)
     assert export(job).kept == export(job).frames
-    export(replace(job, options=ExportOptions(to=ExportFormat.PNG)), overwrite=True)
+    export(ExportArguments(dome_result.folder, to="png", out=out, overwrite=True))
     assert not [name for name in names if name != "000000.png" and (out / name).exists()]
 
 

@@ -35,6 +35,7 @@ from vntoolkit.pipeline.frame_processor import FrameProcessor
 from vntoolkit.pipeline.prepare import in_one_material
 from vntoolkit.pipeline.reconstruct import reconstruct
 from vntoolkit.pipeline.request import Request
+from vntoolkit.pipeline.rig_material import MOST_UNEXPLAINED, share_of_wrong_lengths
 
 DIRECTIONS = np.array([[0.5, 0.0, -0.866], [-0.25, 0.433, -0.866], [-0.25, -0.433, -0.866]])
 COLOURS = np.array([[0.7, 0.1, 0.02], [0.08, 0.6, 0.1], [0.02, 0.12, 0.65]])
@@ -260,6 +261,14 @@ def test_a_colour_that_was_not_found_is_told(tmp_path, caplog, monkeypatch, shar
     kept = [finding.text for finding in read_manifest(job.folder.root).known.findings]
     assert any("is not explained by the 1 found" in text and told in text for text in kept)
     assert len(read_manifest(job.folder.root).known.materials) == (share < 0.5)
+
+
+def test_a_share_that_is_printed_as_the_limit_is_not_above_it() -> None:
+    lengths = np.ones(1000)
+    lengths[:104] = 2.0
+    assert share_of_wrong_lengths(lengths) == MOST_UNEXPLAINED
+    lengths[:106] = 2.0
+    assert share_of_wrong_lengths(lengths) > MOST_UNEXPLAINED
 
 
 def _only_bright(found: list[Material]) -> list[Material]:

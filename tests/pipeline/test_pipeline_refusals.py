@@ -33,7 +33,7 @@ from vntoolkit.pipeline.evaluate import (
     evaluate_tracks,
     read_object,
     read_track_truth,
-    surface_cases,
+    surface_errors,
 )
 from vntoolkit.pipeline.opened_result import read_result
 from vntoolkit.pipeline.reconstruct import reconstruct
@@ -226,7 +226,7 @@ def test_truth_that_is_not_there_or_of_another_scene(result: Path, tmp_path: Pat
 
 def test_objects_with_depth_that_are_spoilt(tmp_path: Path) -> None:
     with pytest.raises(BadInput, match="surfaces of at least 16 pixels, got 8"):
-        surface_cases(8)
+        next(surface_errors(8))
     with pytest.raises(BadInput, match="no pair of maps was given"):
         compare_normal_files([])
     white = np.full((4, 5), 255, np.uint8)

@@ -14,9 +14,9 @@ from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import LengthUnit
 from vntoolkit.io.results.sequences import MeshSequenceWriter, read_mesh_sequence
 from vntoolkit.live.page import LiveViewer
-from vntoolkit.options.export import ExportedSurface, ExportFormat, ExportOptions
+from vntoolkit.options.export import ExportArguments, ExportedSurface, ExportFormat, ExportOptions
 from vntoolkit.options.pages import ViewerOptions
-from vntoolkit.pipeline.export import ExportJob, export, file_lengths
+from vntoolkit.pipeline.export import export, file_lengths
 from vntoolkit.pipeline.opened_result import read_result
 from vntoolkit.report.result_scene import ResultViewer
 
@@ -30,7 +30,7 @@ def result(dome_result: DomeResult, tmp_path: Path) -> Path:
 
 
 def exported(folder: Path, to: ExportFormat, **options: object) -> None:
-    export(ExportJob(folder=folder, options=ExportOptions(to=to, **options), out=None))
+    export(ExportArguments(folder, to=to, **options))
 
 
 def test_a_result_without_the_frames_asked_for(result: Path) -> None:

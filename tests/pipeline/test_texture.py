@@ -16,13 +16,13 @@ from tests.pipeline.conftest import RESPONSE
 from vntoolkit.geometry.mesh import vertex_normals
 from vntoolkit.io.footage.images import read_image
 from vntoolkit.io.maps_and_meshes.maps import write_normal_map
-from vntoolkit.options.export import ExportFormat, ExportOptions
+from vntoolkit.options.export import ExportArguments, ExportFormat
 from vntoolkit.photometry.transfer import Transfer, TransferCurve, encoded_from_linear
 from vntoolkit.pipeline.dress import (
     captured_look,
     read_tracked_cloth,
 )
-from vntoolkit.pipeline.export import ExportJob, export
+from vntoolkit.pipeline.export import export
 from vntoolkit.pipeline.opened_result import read_result
 from vntoolkit.pipeline.texture import filled, tangent_frames, texels_of, write_texture
 from vntoolkit.pipeline.texture_files import read_texture
@@ -129,15 +129,7 @@ def test_mesh_and_relief_together_have_the_measured_normals(dome_result: DomeRes
 @pytest.mark.parametrize("kind", [ExportFormat.USD, ExportFormat.GLB, ExportFormat.OBJ])
 def test_tracked_exports_carry_the_texture(dome_result, tmp_path, kind):
     name = {ExportFormat.USD: "a.usdc", ExportFormat.GLB: "a.glb", ExportFormat.OBJ: "obj"}[kind]
-    options = ExportOptions(to=kind)
-    out = export(
-        ExportJob(
-            folder=dome_result.folder,
-            options=options,
-            out=tmp_path / name,
-            frames="0:2",
-        )
-    ).out
+    out = export(ExportArguments(dome_result.folder, to=kind, out=tmp_path / name, frames="0:2")).out
     match kind:
         case ExportFormat.USD:
             stage = Usd.Stage.Open(str(out))

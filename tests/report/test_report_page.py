@@ -21,6 +21,7 @@ from vntoolkit.pipeline.opened_result import read_result
 from vntoolkit.report.page import PageSection, PageTable, figure_from_file, figure_from_plot
 from vntoolkit.report.pictures import new_figure, normals_from_depth, picture_of_depth
 from vntoolkit.report.report import content_of_report, write_report
+from vntoolkit.report.result_scene import write_scene
 
 SCRIPT = "<script>alert(1)</script>"
 
@@ -133,6 +134,10 @@ def test_it_repeats_what_the_run_found(dome_result: DomeResult, tmp_path: Path) 
     found = content_of_report(read_result(folder))["findings"]
     assert [finding["text"] for finding in found] == [worse.text, clipped.text]
     assert found[0]["frame"] == 2
+    write_scene(tmp_path / "view.html", read_result(folder))
+    shown = (tmp_path / "view.html").read_text()
+    assert worse.text in shown
+    assert clipped.text not in shown  # a note asks for nothing
 
 
 def test_refusals(tmp_path: Path) -> None:

@@ -17,12 +17,12 @@ MATRIX = np.array([[0.4, 0.1, -0.42], [-0.2, 0.35, -0.45], [-0.15, -0.35, -0.5]]
 LEVEL = -MATRIX[:, 2]
 SHAPE = (120, 90)
 SIZE = (90, 120)
-OPTIONS = PressOptions(ball_radius_mm=2.4, pixel_mm=0.1, contact_share=0.9, samples=200)
+OPTIONS = PressOptions(ball_radius_mm=2.4, pixel_mm=0.1)
 
 
 def true_normals(press: Press, radius_mm: float = 2.4) -> np.ndarray:
-    whole = PressOptions(ball_radius_mm=radius_mm, pixel_mm=0.1, contact_share=1.0)
-    normals, inside = normals_of_press(press, whole, SHAPE)
+    whole = PressOptions(ball_radius_mm=radius_mm, pixel_mm=0.1)
+    normals, inside = normals_of_press(press, whole, SHAPE, share=1.0)
     return np.where(inside[..., None], normals, [0, 0, -1])
 
 
@@ -152,7 +152,7 @@ def test_the_circle_of_a_dent_is_found_before_any_response_is_known(rng) -> None
 
 
 def test_the_dent_bulges_towards_the_camera() -> None:
-    normals, inside = normals_of_press(Press(u_px=45, v_px=60, radius_px=15), OPTIONS, SHAPE)
+    normals, inside = normals_of_press(Press(u_px=45, v_px=60, radius_px=15), OPTIONS, SHAPE, 0.9)
     assert inside.sum() == pytest.approx(np.pi * (0.9 * 15) ** 2, rel=0.02)
     assert normals[60, 55, 0] == pytest.approx(1.0 / 2.4)  # 10 px = 1 mm right of the centre: turned right
     assert normals[70, 45, 1] == pytest.approx(1.0 / 2.4)

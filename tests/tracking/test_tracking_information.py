@@ -14,7 +14,7 @@ from vntoolkit.geometry.maps import DepthMap, NormalMap
 from vntoolkit.tracking.edge_prior import EdgePrior, share_right
 from vntoolkit.tracking.factors import full_of, total
 from vntoolkit.tracking.lattice import LocalJacobians, TemplateLattice, lattice_on_template
-from vntoolkit.tracking.outline import Outline, outline_of_figure, signed_distance
+from vntoolkit.tracking.outline import Outline, outline_of_silhouette, signed_distance
 from vntoolkit.tracking.registration import Registration, TemplateRegistration
 from vntoolkit.tracking.slopes import Relief, jump_pixels, label_edges, relief_slopes, slopes_from_normals
 from vntoolkit.tracking.template import template_from_maps
@@ -159,8 +159,8 @@ def test_the_border_of_an_open_sheet_is_followed_and_a_contour_that_turns_away_i
         slopes = slopes_from_normals(first, CAMERA)
         template = template_from_maps(first, flat_depth(mask), CAMERA)
         lattice = lattice_on_template(template, 8)
-        outline = Outline(template, lattice, outline_of_figure(mask, slopes))
-        figure = outline_of_figure(second.mask, slopes_from_normals(second, CAMERA))
+        outline = Outline(template, lattice, outline_of_silhouette(mask, slopes))
+        figure = outline_of_silhouette(second.mask, slopes_from_normals(second, CAMERA))
         unturned = np.broadcast_to(np.eye(2), (lattice.count, 2, 2))
         information, pull, _ = outline.measure(template.positions_px, unturned, figure)
         right = (lattice.cells[:, 0] == lattice.cells[:, 0].max()) & (information[:, 0] > 1.0)
@@ -194,9 +194,9 @@ def test_a_border_that_another_part_covers_is_not_drawn_to_the_outline_beyond() 
     first, second = normals(flat, flat, leg), normals(flat, flat, both)
     template = template_from_maps(first, flat_depth(leg), CAMERA)
     lattice = lattice_on_template(template, 8)
-    outline = Outline(template, lattice, outline_of_figure(leg, slopes_from_normals(first, CAMERA)))
+    outline = Outline(template, lattice, outline_of_silhouette(leg, slopes_from_normals(first, CAMERA)))
     unturned = np.broadcast_to(np.eye(2), (lattice.count, 2, 2))
-    figure = outline_of_figure(second.mask, slopes_from_normals(second, CAMERA))
+    figure = outline_of_silhouette(second.mask, slopes_from_normals(second, CAMERA))
     information, pull, _ = outline.measure(template.positions_px, unturned, figure)
     column, row = lattice.cells.T
     inner = (row > row.min() + 2) & (row < row.max() - 2)
@@ -341,7 +341,7 @@ def test_an_outline_between_two_cells_tells_no_more_than_one_within_a_cell() -> 
         sheet = normals(np.zeros(mask.shape), np.zeros(mask.shape), mask)
         template = template_from_maps(sheet, flat_depth(mask), CAMERA)
         lattice = lattice_on_template(template, 8)
-        figure = outline_of_figure(mask, slopes_from_normals(sheet, CAMERA))
+        figure = outline_of_silhouette(mask, slopes_from_normals(sheet, CAMERA))
         unturned = np.broadcast_to(np.eye(2), (lattice.count, 2, 2))
         information, _, _ = Outline(template, lattice, figure).measure(
             template.positions_px, unturned, figure
@@ -366,9 +366,9 @@ def test_a_border_that_may_be_a_contour_hardly_follows_the_outline() -> None:
         template = template_from_maps(first, flat_depth(mask), CAMERA)
         lattice = lattice_on_template(template, 8)
         slopes = slopes_from_normals(first, CAMERA)
-        outline = Outline(template, lattice, outline_of_figure(mask, slopes))
+        outline = Outline(template, lattice, outline_of_silhouette(mask, slopes))
         unturned = np.broadcast_to(np.eye(2), (lattice.count, 2, 2))
-        figure = outline_of_figure(wider, slopes_from_normals(second, CAMERA))
+        figure = outline_of_silhouette(wider, slopes_from_normals(second, CAMERA))
         information, _, _ = outline.measure(template.positions_px, unturned, figure)
         column, row = lattice.cells.T
         right = (column == column.max()) & (row > row.min() + 1) & (row < row.max() - 1)

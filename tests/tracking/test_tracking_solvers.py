@@ -23,7 +23,6 @@ from vntoolkit.tracking.modes import modes_of_the_whole, slow_turns, uniform_str
 from vntoolkit.tracking.regularisers import (
     LaplacianRegulariser,
     TranslationRegulariser,
-    beta_from_smoothing_length,
 )
 from vntoolkit.tracking.slopes import slopes_from_normals
 from vntoolkit.tracking.template import template_from_maps
@@ -55,7 +54,7 @@ def test_cotangent_laplacian_refuses_a_triangle_without_area() -> None:
 def test_a_factored_solve_equals_a_dense_one(template, rng: np.random.Generator) -> None:
     count = len(template.pixels)
     laplacian = graph_laplacian(template.edges, count)
-    beta = beta_from_smoothing_length(4.0)
+    beta = 1.5 / 4.0**2
     solver = LaplacianRegulariser(laplacian, beta)
     rest, data = rng.normal(size=(count, 3)) * 50, rng.normal(size=(count, 3)) * 50
     stacked = np.vstack([laplacian.toarray(), beta * np.eye(count)])
@@ -229,7 +228,7 @@ def test_the_whole_may_stretch_and_turn_beside_its_guesses(rng: np.random.Genera
 def test_half_of_a_wave_passes_at_the_stated_wavelength() -> None:
     count, length = 400, 6.0
     edges = np.stack([np.arange(count - 1), np.arange(1, count)], 1)
-    solver = LaplacianRegulariser(graph_laplacian(edges, count), beta_from_smoothing_length(length))
+    solver = LaplacianRegulariser(graph_laplacian(edges, count), 1.5 / length**2)
     wave = np.cos(2 * np.pi * np.arange(count) / (5.13 * length))[:, None]
     passed = solver.solve(wave)[100:300, 0] @ wave[100:300, 0] / (wave[100:300, 0] @ wave[100:300, 0])
     assert 0.48 < passed < 0.52
@@ -275,9 +274,7 @@ def test_both_sides_of_a_seam_move_freely() -> None:
     offsets = np.where(below, 3.0, -3.0)[:, None]
     crossing = below[template.edges[:, 0]] != below[template.edges[:, 1]]
     assert crossing.sum() <= 1
-    solver = LaplacianRegulariser(
-        graph_laplacian(template.edges[~crossing], count), beta_from_smoothing_length(8.0)
-    )
+    solver = LaplacianRegulariser(graph_laplacian(template.edges[~crossing], count), 1.5 / 8.0**2)
     np.testing.assert_allclose(solver.solve(offsets), offsets, atol=1e-3)
     lattice = lattice_on_template(template, 8)
     sums = lattice.smoothed(lattice.sums(np.column_stack([offsets, np.ones(count)])), 1)

@@ -21,6 +21,7 @@ from vntoolkit.calibration.lights import line_colour
 from vntoolkit.errors import BadCalibration
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.photometry.frame import LinearFrame
+from vntoolkit.spread import robust_deviation
 
 _LIT_SHARE = 0.08  # of the brightest: less may be beyond the edge of the lamp's light
 _BEHIND = 0.05  # cosine beyond that edge from which blur and a wrong direction no longer reach a pixel
@@ -140,7 +141,7 @@ def _fit_robustly(normals: Points, light: FloatArray, start: FloatArray, count: 
     bound = np.append(np.full(3, np.inf), _NEAREST)[:count]
     found = start[:count]
     for _ in range(_ROUNDS):
-        scale = max(1.4826 * float(np.median(np.abs(residuals(found)))), 1e-6)
+        scale = max(robust_deviation(residuals(found)), 1e-6)
         found = least_squares(residuals, found, loss="cauchy", f_scale=scale, bounds=(-bound, bound)).x
     return np.append(found, np.zeros(4 - count))
 

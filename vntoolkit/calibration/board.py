@@ -15,6 +15,7 @@ import numpy as np
 from vntoolkit.arrays import FloatArray, IntArray, Matrix3, Points
 from vntoolkit.calibration.board_detection import BoardSighting
 from vntoolkit.calibration.fit import (
+    SHADOW_SHARE,
     Design,
     ResponseFit,
     fit_by_trimming,
@@ -28,7 +29,7 @@ from vntoolkit.geometry.board_layout import NORMAL_IN_BOARD, BoardLayout
 from vntoolkit.geometry.camera import Camera, CameraModel
 from vntoolkit.geometry.rigid import RigidTransform
 from vntoolkit.native import one_opencv_thread
-from vntoolkit.options.calibration import BoardOptions, IntrinsicsOptions, ResponseModel
+from vntoolkit.options.calibration import BoardOptions, ResponseModel
 from vntoolkit.photometry.fit_quality import cone_of_normals_deg
 from vntoolkit.photometry.response import rgb_from_normals
 
@@ -59,14 +60,12 @@ class BoardCalibration:
     """fit: M and its quality. camera: given or fitted. poses: one per frame used in the fit, in its order.
 
     light_colours: (3, 3), unit colour of each lamp, where frames show every lamp alone, else None.
-    frames_alone: how many they are, of the red, the green and the blue lamp.
     """
 
     fit: ResponseFit
     camera: Camera
     poses: tuple[BoardPose, ...]
     light_colours: Matrix3 | None = None
-    frames_alone: tuple[int, ...] = ()
 
 
 def fit_response_to_board(
@@ -88,7 +87,7 @@ def fit_response_to_board(
             "calibrate board: the board is not seen in any frame; is it whole in the picture, sharp, and "
             "printed with the same number of squares?"
         )
-    camera = camera or fit_camera(sightings, layout, size, options.intrinsics)
+    camera = camera or fit_camera(sightings, layout, size, options.radial_terms)
     seen = [s for s in sightings if s.rgb is not None]
     if not seen:
         raise BadCalibration(
@@ -121,7 +120,6 @@ def fit_response_to_board(
         camera=camera,
         poses=tuple(p for _, p in kept),
         light_colours=colours,
-        frames_alone=() if lamps is None else tuple(int((lamps == k).sum()) for k in range(3)),
     )
 
 
@@ -139,7 +137,7 @@ def _lamps_alone(normals: Points, rgb: Points, options: BoardOptions) -> IntArra
         return None
     design = Design.from_pairs(normals, rgb, with_ambient=options.fit.model is ResponseModel.AMBIENT)
     try:
-        unknowns, _ = fit_by_trimming(design, others, options.fit.shadow_share, options.fit.outlier_sigmas)
+        unknowns, _ = fit_by_trimming(design, others)
     except BadCalibration:
         return None
     contradicts = design.residuals(unknowns) > _CONTRADICTS * lengths
@@ -160,7 +158,7 @@ def _varying(
     middle_mm = np.append(layout.hole_mm.mean(axis=0), 0.0)
     middles = np.array([pose.camera_from_board.apply(middle_mm) for pose in poses])
     shares = normals @ fit.response.matrix.T
-    lit = (shares > options.fit.shadow_share * shares.max(axis=0)).all(axis=1)
+    lit = (shares > SHADOW_SHARE * shares.max(axis=0)).all(axis=1)
     positions_px = camera.without_distortion().project(middles[lit])
     response = fit_varying_response(
         normals[lit],
@@ -217,14 +215,13 @@ def fit_camera(
     sightings: Sequence[BoardSighting],
     layout: BoardLayout,
     size: tuple[int, int],
-    options: IntrinsicsOptions | None = None,
+    radial_terms: int = 1,
 ) -> Camera:
     """Fit K and distortion to the corners of many views. size: (width, height).
 
     Zhang, A flexible new technique for camera calibration, 2000 (zhang2000). Raises `BadCalibration` where
     the views are too few or too much alike.
     """
-    options = options or IntrinsicsOptions()
     usable = [s for s in sightings if _spans_plane(layout.corners_mm[s.corner_ids])]
     if len(usable) < _FEWEST_VIEWS:
         raise BadCalibration(
@@ -242,7 +239,7 @@ def fit_camera(
             size,
             None,
             None,
-            flags=_flags(options),
+            flags=_flags(radial_terms),
         )
     focal_deviation = float(deviations[:2].max()) / float(matrix[0, 0])
     tilts = np.array([cv2.Rodrigues(r)[0][:, 2] for r in rotations])
@@ -255,7 +252,7 @@ def fit_camera(
             "board by 30 degrees and more in all directions, or give the camera with --camera"
         )
     k1, k2, p1, p2 = np.ravel(distortion)[:4]
-    model = CameraModel.OPENCV if options.radial_terms or options.tangential else CameraModel.PINHOLE
+    model = CameraModel.OPENCV if radial_terms else CameraModel.PINHOLE
     return Camera(
         model=model,
         width=size[0],
@@ -270,14 +267,12 @@ def _spans_plane(corners_mm: FloatArray) -> bool:
     return len(corners_mm) >= _FEWEST_CORNERS and bool((np.ptp(corners_mm, axis=0) > 0).all())
 
 
-def _flags(options: IntrinsicsOptions) -> int:
-    flags = cv2.CALIB_FIX_K3
-    if options.radial_terms < 2:
+def _flags(radial_terms: int) -> int:
+    flags = cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST
+    if radial_terms < 2:
         flags |= cv2.CALIB_FIX_K2
-    if options.radial_terms < 1:
+    if radial_terms < 1:
         flags |= cv2.CALIB_FIX_K1
-    if options.tangential == 0:
-        flags |= cv2.CALIB_ZERO_TANGENT_DIST
     return int(flags)
 
 

@@ -16,8 +16,12 @@ from vntoolkit.options.calibration import FitMethod, ResponseFitOptions, Respons
 from vntoolkit.photometry.fit_quality import angles_deg, cone_of_normals_deg, warn_of_weak_fit
 from vntoolkit.photometry.response import LightResponse, scaled_normals_from_rgb
 from vntoolkit.photometry.rig import FitQuality
+from vntoolkit.spread import robust_deviation
 
 _FIRST_SHADOW_SHARE = 0.15  # of a channel's 99th percentile: what surely is lit before anything is known
+SHADOW_SHARE = 0.08  # of a channel's largest contribution: a pair with less counts as shadowed
+_OUTLIER_SIGMAS = 3.0  # robust standard deviations of the colour residual: beyond is gloss or cast shadow
+_INLIER_SHARE = 0.08  # of the median length of the colours: largest residual of MSAC's inliers
 _ROUNDING = 1e-9  # of the largest colour: residuals below it are arithmetic
 _FLATTEST_DESIGN = 5e-3  # smallest over largest singular value of the normals that still determine M
 _SMALLEST_DETERMINANT = 0.02  # of three unit normals: below it noise decides
@@ -68,9 +72,9 @@ def fit_response(
     if options.method is FitMethod.MSAC:
         if rng is None:
             raise BadInput("fit: MSAC draws samples and needs a random generator (rng=...)")
-        unknowns, inliers = fit_by_msac(design, usable, _DRAWS, options.inlier_share, rng)
+        unknowns, inliers = fit_by_msac(design, usable, rng)
     else:
-        unknowns, inliers = fit_by_trimming(design, usable, options.shadow_share, options.outlier_sigmas)
+        unknowns, inliers = fit_by_trimming(design, usable)
     response = response_from_unknowns(unknowns)
     quality = fit_quality(normals[inliers], colours[inliers], response, verb)
     warn_of_weak_fit(quality)
@@ -148,7 +152,7 @@ class Design:
 
 
 def fit_by_trimming(
-    design: Design, usable: Mask, shadow_share: float, outlier_sigmas: float, rounds: int = 30
+    design: Design, usable: Mask, shadow_share: float = SHADOW_SHARE
 ) -> tuple[FloatArray, Mask]:
     """Repeat least squares without attached shadow and without outliers until the set of pairs is stable.
 
@@ -160,7 +164,7 @@ def fit_by_trimming(
         chosen = usable & (design.colours > _FIRST_SHADOW_SHARE * top).all(axis=1)
     floor = _ROUNDING * float(np.abs(design.colours[usable]).max())
     unknowns = design.solve(chosen)
-    for _ in range(rounds):
+    for _ in range(30):
         contributions = design.rows[:, :3] @ unknowns[:3]
         brightest = contributions[chosen].max(axis=0)
         lit = usable
@@ -169,8 +173,8 @@ def fit_by_trimming(
         residuals = design.residuals(unknowns)
         if not lit.any():
             raise BadCalibration("calibration: no pixel is lit by all three lights; move the lights closer")
-        scale = 1.4826 * float(np.median(residuals[lit]))
-        update = lit & (residuals <= max(outlier_sigmas * scale, floor))
+        scale = robust_deviation(residuals[lit])
+        update = lit & (residuals <= max(_OUTLIER_SIGMAS * scale, floor))
         converged = np.array_equal(update, chosen)
         chosen = update
         unknowns = design.solve(chosen)
@@ -180,7 +184,11 @@ def fit_by_trimming(
 
 
 def fit_by_msac(
-    design: Design, usable: Mask, draws: int, inlier_share: float, rng: np.random.Generator
+    design: Design,
+    usable: Mask,
+    rng: np.random.Generator,
+    draws: int = _DRAWS,
+    inlier_share: float = _INLIER_SHARE,
 ) -> tuple[FloatArray, Mask]:
     """Draw triples (quadruples with ambient), keep the lowest truncated cost, refit on its inliers.
 

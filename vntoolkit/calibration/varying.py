@@ -49,7 +49,7 @@ def fit_varying_response(
     products = monomials[:, :, None] * one.rows[:, None, :]
     # the spread of the positions is checked above, that of the normals when one M was fitted
     design = Design(rows=products.reshape(len(rgb), -1), colours=rgb, flattest=0.0)
-    unknowns, chosen = fit_by_trimming(design, np.ones(len(rgb), np.bool_), 0.0, options.outlier_sigmas)
+    unknowns, chosen = fit_by_trimming(design, np.ones(len(rgb), np.bool_), 0.0)
     unknowns = _shrunk(unknowns, design.rows[chosen], rgb[chosen], free=one.unknown_count)
     middle, *terms = unknowns.reshape(monomials.shape[1], one.unknown_count, 3)
     response = response_from_unknowns(middle)
@@ -71,17 +71,17 @@ def _shrunk(unknowns: FloatArray, rows: Points, colours: Points, free: int) -> F
     rows: (n, k), unknowns: (k, 3). The ridge is the variance of the colours over that of the
     coefficients; both maximise the evidence, by MacKay's fixed point (mackay1992).
     """
-    held = np.arange(len(unknowns)) >= free
+    shrunk = np.arange(len(unknowns)) >= free
     normal, right = rows.T @ rows, rows.T @ colours
     ridge, before = 0.0, np.inf
     for _ in range(_ROUNDS):
-        inverse = np.linalg.inv(normal + np.diag(ridge * held))
+        inverse = np.linalg.inv(normal + np.diag(ridge * shrunk))
         unknowns = inverse @ right
         determined = (
-            held.sum() - ridge * np.diag(inverse)[held].sum()
+            shrunk.sum() - ridge * np.diag(inverse)[shrunk].sum()
         )  # coefficients that the pairs determine
         noise = np.square(rows @ unknowns - colours).sum() / (len(rows) - free - determined)
-        size = np.square(unknowns[held]).sum()
+        size = np.square(unknowns[shrunk]).sum()
         if abs(ridge - before) <= _SETTLED * ridge or size == 0.0:
             break
         before, ridge = ridge, determined * noise / size

@@ -35,7 +35,6 @@ from vntoolkit.libraries import require_installed
 from vntoolkit.options.base import File, Named, OptionalFile, Source, as_path, named
 from vntoolkit.options.calibration import (
     BoardOptions,
-    IntrinsicsOptions,
     LightColours,
     LightColoursName,
     PressOptions,
@@ -130,7 +129,7 @@ def _report_lamps(lit: LitBall, is_perspective: bool) -> None:
 
 
 @dataclass(frozen=True, kw_only=True)
-class BoardArguments(FootageArguments, BoardOptions, IntrinsicsOptions, ResponseFitOptions, BoardLayout):
+class BoardArguments(FootageArguments, BoardOptions, ResponseFitOptions, BoardLayout):
     """What `calibrate_board` takes."""
 
     source: Source = field(kw_only=False)

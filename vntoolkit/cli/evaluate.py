@@ -308,9 +308,6 @@ class TracksArguments(_Written, MeshLimits):
     """The folder that `vntoolkit simulate` wrote."""
     every: int = 10
     """Evaluate every n-th frame, and the last one."""
-    lost_px: float | None = None
-    """A vertex counts as lost where its expected error is above this, in pixels. Default: what `track`
-    used."""
 
 
 @verb(TracksArguments)
@@ -336,7 +333,7 @@ def evaluate_tracks(asked: TracksArguments) -> dict[str, list[TrackError]]:
     results = {}
     for name, each in folders.items():
         target = each / "track" if (each / "track").is_dir() else each
-        results[name] = evaluate.evaluate_tracks(target, Path(asked.truth), asked.every, asked.lost_px)
+        results[name] = evaluate.evaluate_tracks(target, Path(asked.truth), asked.every)
     with write_lock(out):
         for name, errors in results.items():
             evaluate.write_track_errors(tables[name], errors)
@@ -394,14 +391,9 @@ def evaluate_integration(asked: IntegrationArguments) -> IntegrationEvaluation:
     require_output(out / "integration.json")
     with write_lock(out):
         objects = [] if asked.data is None else evaluate.objects_in(asked.data)
-        cases = evaluate.surface_cases(asked.size)
-        rows, curves, last = [], {}, None
-        for case in progress.counted(cases, "surfaces", len(cases)):
-            error = case.measure()
-            rows.append(error)
-            if case.is_torn:
-                curves[error.integrator] = error.distances_percent[error.mask]
-                last = error
+        rows = list(evaluate.surface_errors(asked.size))
+        torn = [row for row in rows if row.is_torn]
+        curves, last = {row.integrator: row.distances_percent[row.mask] for row in torn}, torn[-1]
         real = []
         for folder in progress.counted(objects, "objects", len(objects)):
             real += evaluate.real_object_errors(folder)
@@ -410,11 +402,10 @@ def evaluate_integration(asked: IntegrationArguments) -> IntegrationEvaluation:
         figures.write_cumulative_errors(
             out / "integration_curve.png", curves, "torn surface", "error, % of the range"
         )
-        if last is not None:
-            title = f"{last.surface}, {last.integrator}"
-            figures.write_error_map(
-                out / "integration_map.png", last.distances_percent, last.mask, title, "% of the range"
-            )
+        title = f"{last.surface}, {last.integrator}"
+        figures.write_error_map(
+            out / "integration_map.png", last.distances_percent, last.mask, title, "% of the range"
+        )
     found = IntegrationEvaluation(surfaces=rows, objects=real)
     _print_integration(out, found)
     return found

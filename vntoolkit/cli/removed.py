@@ -21,10 +21,25 @@ REMOVED: dict[str, str] = {
     "--picture-px": "was removed: leave it out; --most-frames and --vertices make the page smaller",
     "--picture-height": "was removed: leave it out; `vntoolkit view` shows pictures in full",
 }
+_CONSTANT = (
+    "albedo-tolerance steepest-slope-deg least-weight precision tolerance most-iterations depth-offset "
+    "shadow-share outlier-sigmas inlier-share tangential contact-share data-share smoothing-length arms"
+)
+REMOVED |= {
+    "demo --width": "was removed, as was --height: leave it out; `vntoolkit simulate --size` films larger",
+    "demo --height": "was removed, as was --width: leave it out; `vntoolkit simulate --size` films larger",
+    "dress --depth": "was removed: leave it out; --fit corrects the place of the garment",
+    "evaluate --lost-px": "was removed: give it to `vntoolkit track`",
+    "calibrate --samples": "was removed: leave it out; its default is a constant now",
+    "evaluate --samples": "was removed: leave it out; its default is a constant now",
+}
 _OF_HEADS = (
     "corner-spacing-px window-px margin-px pose-tracks least-turn-deg hull-cells references stereo-window-px "
     "before behind least-correlation smoothing-px fusion-depth agreement confirmations hull-gap light-frames "
     "light-points light-draws light-inlier"
+)
+REMOVED |= dict.fromkeys(
+    (f"--{name}" for name in _CONSTANT.split()), "was removed: leave it out; its default is a constant now"
 )
 REMOVED |= dict.fromkeys(
     (f"--{name}" for name in _OF_HEADS.split()),
@@ -38,5 +53,6 @@ def require_no_removed(*words: str) -> None:
         if word == "--":
             return
         flag = word.partition("=")[0]
-        if flag in REMOVED and (place == 0 or flag.startswith("--")):
-            raise BadInput(f"{flag}: {REMOVED[flag]}")
+        why = REMOVED.get(flag) or REMOVED.get(f"{words[0]} {flag}")
+        if why is not None and (place == 0 or flag.startswith("--")):
+            raise BadInput(f"{flag}: {why}")

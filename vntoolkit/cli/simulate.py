@@ -54,9 +54,9 @@ def simulate(asked: SimulateArguments) -> Path:
         frames=FrameRange.from_text(asked.frames or "::"),
         motion=asked.motion,
     )
-    summary = run(job, jobs=asked.jobs, overwrite=asked.overwrite)
+    rendered = run(job, jobs=asked.jobs, overwrite=asked.overwrite)
     out, scene = Path(asked.out), asked.scene
-    say(f"{out}: {summary.frames} frames of {scene} in capture.mkv, {summary.rendered} rendered now")
+    say(f"{out}: {len(job.numbers)} frames of {scene} in capture.mkv, {rendered} rendered now")
     video, own_rig = job.folder.video, job.folder.truth / "rig.json"
     if scene in ("board", "sphere"):
         print_next("calibrate", scene, video, "--out", "rig.json")
@@ -64,7 +64,7 @@ def simulate(asked: SimulateArguments) -> Path:
         print_next("calibrate", "board", video, "--degree", "2", "--out", "rig.json")
     elif scene == "head_turn":
         print_next("calibrate", "head", video, "--camera", own_rig, "--out", "rig.json")
-    elif scene == "gel" and summary.frames == 1:
+    elif scene == "gel" and len(job.numbers) == 1:
         presses = out.with_name("presses")
         print_next("simulate", scene, "--out", presses, "--frames", "1:25", "--size", asked.size)
     elif scene == "gel":

@@ -30,9 +30,9 @@ def track(asked: TrackArguments) -> MeshSequence:
         from vntoolkit.pipeline.object_poses import write_object_poses
 
         _report_poses(write_object_poses(Path(asked.folder), asked.target))
-    files = write_checkerboard(Path(asked.folder), asked.target)
+    write_checkerboard(Path(asked.folder), asked.target)
     _report(summary)
-    say(f"{files.video}, {files.sheet.name}")
+    say(f"{asked.target / 'checkerboard.mkv'}, checkerboard.png")
     made = write_texture(Path(asked.folder), asked.target, footage=asked.footage, background=asked.background)
     shown = made.texture.albedo or made.texture.normal
     say(f"{shown}: {made.covered:.1%} of the surface from {made.frames} frames, the rest filled")

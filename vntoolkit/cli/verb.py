@@ -52,12 +52,7 @@ _PANELS: dict[str, tuple[str, ...]] = {
         "record_to", "vertices", "most_frames", "units", "up", "scale",
     ),
     "Machine": ("jobs", "scheduler", "host", "port", "max_megapixels", "max_vertices"),
-    "Expert": (
-        "albedo_tolerance", "darkest", "clipped", "steepest_slope_deg", "least_weight", "precision",
-        "tolerance", "most_iterations", "largest_step", "shadow_share", "outlier_sigmas", "inlier_share",
-        "radial_terms", "tangential", "contact_share",
-        "threshold", "neighbours",
-    ),
+    "Expert": ("darkest", "clipped", "largest_step", "radial_terms", "threshold", "neighbours"),
 }  # fmt: skip
 _PANEL_OF = {name: panel for panel, names in _PANELS.items() for name in names}
 _GROUPS = {panel: Group(panel, sort_key=place) for place, panel in enumerate(_PANELS)}
@@ -142,7 +137,7 @@ def _require_known(name: str, arguments: Any, named: dict[str, Any]) -> None:
     known = [field.name for field in _fields(arguments)]
     for given in named:
         if given not in known:
-            require_no_removed(f"--{given.replace('_', '-')}")
+            require_no_removed(name.partition("_")[0], f"--{given.replace('_', '-')}")
             close = difflib.get_close_matches(given, known, n=1)
             hint = f"; did you mean {close[0]}?" if close else ""
             raise BadInput(f"{name}: unknown option {given}{hint}")

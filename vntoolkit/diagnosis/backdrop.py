@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from vntoolkit.arrays import Mask
+from vntoolkit.arrays import ByteArray, Mask
 from vntoolkit.diagnosis.finding import Finding
 from vntoolkit.geometry.maps import NormalMap
 
@@ -18,7 +18,7 @@ LARGE_ERROR_DEG = 20.0  # in the median, as of pixels that one light hardly reac
 _APART = 2.0  # times the subject's: bounds that are wide all over part at any threshold
 _WORSE = 1.05  # times the subject's median is that of all: less, and a region is too small to matter
 _SMOOTHING_PX = 5
-_CLOSING_PX = 9
+_KERNEL = np.ones((9, 9), np.uint8)  # closes gaps, and opens strips, narrower than this
 MASK_NAME = "mask_suggested.png"
 
 
@@ -53,9 +53,11 @@ def backdrop_in(normal_map: NormalMap) -> Backdrop | None:
     errors = np.where(mask, np.clip(normal_map.error_deg, 0, 180), 180).astype(np.uint8)
     smooth = cv2.medianBlur(errors, _SMOOTHING_PX)
     threshold, _ = cv2.threshold(smooth[mask].reshape(-1, 1), 0, 255, cv2.THRESH_BINARY | cv2.THRESH_OTSU)
-    subject = _largest(mask & (smooth <= threshold))
+    subject = _largest(_closed(mask & (smooth <= threshold)))
     beside = mask & ~subject
-    region = _largest(beside & (smooth > threshold)) & beside
+    # an outline's rim joins no hair to the border
+    poor = cv2.morphologyEx(_closed(beside & (smooth > threshold)), cv2.MORPH_OPEN, _KERNEL)
+    region = _largest(poor) & beside
     if not _at_border(region) or not (subject & mask).any():
         return None
     inside, outside = (float(np.median(normal_map.error_deg[part & mask])) for part in (subject, region))
@@ -66,11 +68,20 @@ def backdrop_in(normal_map: NormalMap) -> Backdrop | None:
     return Backdrop(subject=subject, share=share, subject_deg=inside, region_deg=outside)
 
 
-def _largest(part: Mask) -> Mask:
-    """Return the largest connected part, gaps closed and holes filled."""
-    kernel = np.ones((_CLOSING_PX, _CLOSING_PX), np.uint8)
-    closed = cv2.morphologyEx(part.astype(np.uint8), cv2.MORPH_CLOSE, kernel)
-    contours, _ = cv2.findContours(closed, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+def spread_deg(normal_map: NormalMap, subject: Mask) -> float:
+    """Return the degrees from their mean that nine of ten normals of the subject (h, w) stay within."""
+    normals = np.asarray(normal_map.normals_in_camera)[normal_map.mask & subject]
+    cosines = normals @ normals.mean(axis=0) / max(float(np.linalg.norm(normals.mean(axis=0))), 1e-9)
+    return float(np.degrees(np.arccos(np.clip(np.percentile(cosines, 10), -1.0, 1.0))))
+
+
+def _closed(part: Mask) -> ByteArray:
+    return np.asarray(cv2.morphologyEx(part.astype(np.uint8), cv2.MORPH_CLOSE, _KERNEL), np.uint8)
+
+
+def _largest(part: ByteArray) -> Mask:
+    """Return the largest connected part, holes filled."""
+    contours, _ = cv2.findContours(part, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     filled = np.zeros(part.shape, np.uint8)
     if contours:
         cv2.drawContours(filled, [max(contours, key=cv2.contourArea)], -1, 1, cv2.FILLED)

@@ -12,6 +12,7 @@ from vntoolkit.arrays import Float32Array, FloatArray, Int64Array
 from vntoolkit.diagnosis import evidence as evidences
 from vntoolkit.diagnosis.finding import CLEAR_Z, Finding
 from vntoolkit.diagnosis.white_balance import changes_with_gains
+from vntoolkit.spread import MEDIAN_TO_DEVIATION
 
 _STRIPES, _ROUNDS_A_STRIPE = 24, 3
 _SPREAD_OF_GAINS, _INDEPENDENT = 0.05, 20  # of a stripe's pixels: neighbours share their errors
@@ -21,37 +22,34 @@ FRAMES_IN_A_ROW = 5
 
 
 def check_flicker(evidence: evidences.Evidence) -> list[Finding]:
-    """Find light that goes up and down from frame to frame. evidence: of consecutive frames."""
-    if len(evidence.light) < 3:
-        return []
-    seen = evidence.surface.all(axis=0)
-    if int(seen.sum()) < evidences.FEWEST_PIXELS:
-        return []
-    beats = _beats(np.stack([evidences.scaled_normals(evidence, light)[seen] for light in evidence.light]))
-    medians = np.median(beats, axis=1)
-    error = _largest_error(beats, medians, evidence.blocks[seen])
-    largest = float(np.abs(medians).max())
-    if not largest >= max(evidences.LARGEST_CHANGE, CLEAR_Z * error):  # NaN tells nothing
-        return []
-    return [Finding.of("flicker", change=largest, error=error)]
-
-
-def check_bands(evidence: evidences.Evidence) -> list[Finding]:
-    """Find bands, which a rolling shutter makes of flicker. evidence: of consecutive frames.
-
-    Gains of the channels are fitted to what lengths do in every stripe of rows, and then of columns. What a
-    subject that moves changes depends on columns as on rows; what the shutter makes depends on rows alone.
-    """
+    """Find light that goes up and down from frame to frame, and bands. evidence: of consecutive frames."""
     seen = evidence.surface.all(axis=0)
     if len(evidence.light) < 3 or int(seen.sum()) < evidences.FEWEST_PIXELS:
         return []
     scaled = np.stack([evidences.scaled_normals(evidence, light)[seen] for light in evidence.light])
     beats = _beats(scaled)
+    medians = np.median(beats, axis=1)
+    error = _largest_error(beats, medians, evidence.blocks[seen])
+    largest = float(np.abs(medians).max())
+    if largest >= max(evidences.LARGEST_CHANGE, CLEAR_Z * error):  # NaN tells nothing
+        return [Finding.of("flicker", change=largest, error=error)]
     inverse = evidence.inverse if evidence.inverse.ndim == 2 else evidence.inverse[seen]
     follow = np.stack([changes_with_gains(inverse, each) for each in scaled[1:-1]])
+    return _findings_of_bands(beats, follow, np.nonzero(seen))
+
+
+def _findings_of_bands(
+    beats: Float32Array, follow: FloatArray, places: tuple[Int64Array, ...]
+) -> list[Finding]:
+    """Find bands, which a rolling shutter makes of flicker.
+
+    Gains of the channels are fitted to what lengths do in every stripe of rows, and then of columns. What a
+    subject that moves changes depends on columns as on rows; what the shutter makes depends on rows alone.
+    beats: (k, n). follow: (k, n, 3), how they follow the gains. places: rows and columns, (n,) each.
+    """
     change = []
-    for places in np.nonzero(seen):  # rows, then columns on what rows leave: a subject couples the two
-        stripes = np.array_split(np.argsort(places, kind="stable"), _STRIPES)
+    for lines in places:  # rows, then columns on what rows leave: a subject couples the two
+        stripes = np.array_split(np.argsort(lines, kind="stable"), _STRIPES)
         gains: FloatArray = np.zeros((len(beats), _STRIPES, 3))
         for k, stripe in np.ndindex(gains.shape[:2]):
             part = stripes[stripe]
@@ -92,4 +90,4 @@ def _largest_error(beats: FloatArray, medians: FloatArray, blocks: Int64Array) -
     if len(names) < 2:
         return 1.0
     scattered = np.array([np.median(beats[:, blocks == name], axis=1) - medians for name in names])
-    return float(1.48 * np.median(np.abs(scattered), axis=0).max() / np.sqrt(len(names)))
+    return float(MEDIAN_TO_DEVIATION * np.median(np.abs(scattered), axis=0).max() / np.sqrt(len(names)))

@@ -137,7 +137,7 @@ def findings_from_clipping(frames: Sequence[LinearFrame], mask: Mask | None) -> 
     if not frames:
         return []
     share = float(np.mean([(f.clipped if mask is None else f.clipped[mask]).mean() for f in frames]))
-    if not share > _CLIPPED_TOO_MUCH:
+    if not round(share, 3) > _CLIPPED_TOO_MUCH:  # as it is printed beside the limit
         return _findings_from_plateau(frames, mask)
     return [Finding.of("clipping", level=_level_of_clipping(share), share=share)]
 
@@ -294,7 +294,7 @@ def _findings_over_time(
     if rig is None or len(in_a_row) < 3:
         return []
     evidence = evidences.evidence_from_frames(in_a_row, rig, transfer, mask)
-    return (flicker.check_flicker(evidence) or flicker.check_bands(evidence)) if _is_wide(evidence) else []
+    return flicker.check_flicker(evidence) if _is_wide(evidence) else []
 
 
 def findings_from_calibration_footage(

@@ -16,6 +16,7 @@ from vntoolkit.diagnosis.evidence import FEWEST_PIXELS, Evidence
 from vntoolkit.diagnosis.finding import Finding
 from vntoolkit.diagnosis.surface_pixels import SurfacePixels, regress_lengths, surface_pixels, without_levels
 from vntoolkit.photometry.response import LightResponse, changes_of_near_lamps
+from vntoolkit.spread import robust_deviation
 
 _FEWEST_IN_PART = 40  # pixels of two by two blocks
 _LIKE_LAMPS = 0.5  # of the squares of what is left over wide parts
@@ -89,7 +90,7 @@ def _error_of_patterns(
     dark, on cloth 0.4 %. columns: (n, k), three of them of lamps, fitted to log lengths (n,) by slopes (k,).
     """
     left = without_levels(logs - columns @ slopes, pixels.frames)
-    most = 3.0 * 1.48 * float(np.median(np.abs(left)))
+    most = 3.0 * robust_deviation(left)
     row, column = np.divmod(pixels.blocks, pixels.blocks_a_side)
     part = np.unique((row // 2) * pixels.blocks_a_side + column // 2, return_inverse=True)[1]
     counts = np.bincount(part)

@@ -5,6 +5,7 @@ from scipy.stats import linregress
 
 from vntoolkit.arrays import FloatArray
 from vntoolkit.diagnosis.finding import CLEAR_Z, Finding
+from vntoolkit.spread import robust_deviation
 from vntoolkit.tactile.circles import FoundCircle
 
 _FAR_RADII = 0.6  # of the contact: hands label to a tenth, and a fit still works with a half
@@ -62,7 +63,7 @@ def check_round(aspects: FloatArray) -> list[Finding]:
         return []
     logs = np.log(aspects)
     middle = float(np.median(logs))
-    error = 1.25 * 1.48 * float(np.median(np.abs(logs - middle))) / np.sqrt(len(logs))
+    error = 1.25 * robust_deviation(logs - middle) / np.sqrt(len(logs))
     if abs(middle) < max(np.log(_LEAST_ASPECT), CLEAR_Z * error):
         return []
     return [Finding.of("contacts", aspect=np.exp(middle), error=error)]

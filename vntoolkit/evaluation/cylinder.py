@@ -11,6 +11,7 @@ from vntoolkit.evaluation.angular_error import angles_between_deg
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.geometry.rays import pixel_rays
+from vntoolkit.spread import robust_deviation
 
 _FEWEST_PIXELS = 200
 _SIDE_DEG = 45.0  # an end's normals are 90 degrees from the side's
@@ -148,7 +149,7 @@ def silhouette_from_image(rgb: LinearImage) -> FloatArray:
     border = np.ones(brightness.shape, dtype=np.bool_)
     border[rim:-rim, rim:-rim] = False
     level = np.median(brightness[border])
-    noise = 1.4826 * np.median(np.abs(brightness[border] - level))
+    noise = robust_deviation(brightness[border] - level)
     floor = 0.004 * (np.percentile(brightness, 99) - level)  # a noiseless background has no spread
     lifted = brightness - level
     regions, count = ndimage.label(lifted > max(_SIGMAS * noise, floor))

@@ -21,6 +21,7 @@ _FARTHEST = 1000.0  # times the smaller mesh's size: pymeshlab searches in steps
 _OTHER_SCALE = 10.0  # ratio of sizes from which two surfaces are hardly in one unit
 _POINTS_A_STEP = 1 << 14  # between two reports of progress
 _FEWEST_VERTICES = 20
+_PAIRED = 20_000  # vertices that are paired
 _KEPT_SHARE = 0.95  # of the nearest pairs; the others have no counterpart
 _MOST_ROUNDS = 60  # of the alignment
 Compared: TypeAlias = Mesh | PointCloud
@@ -181,7 +182,7 @@ def align_mesh(
     if np.ptp(vertices, axis=0).any() and (why := mismatch(mesh, reference)):
         raise BadMesh(f"align: {why}")
     tree = cKDTree(targets)
-    sampled = vertices[rng.permutation(len(vertices))[: options.samples]]
+    sampled = vertices[rng.permutation(len(vertices))[:_PAIRED]]
     last = np.inf
     for _ in range(_MOST_ROUNDS):
         moved = motion.apply(sampled)

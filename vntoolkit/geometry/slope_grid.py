@@ -51,14 +51,14 @@ def ray_at(rays: RayGrid, v: int, u: int) -> tuple[Any, Any]:
 
 @njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
 def weights_kernel(
-    quadratics: Grid, labels: Labels, mask: Mask, slopes: Grid, depth: Grid, softness: Any,
-    shadow_softness: Any, out: Grid,
+    quadratics: Grid, labels: Labels, mask: Mask, slopes: Grid, depth: Grid, robust_scale: Any,
+    shadow_robust_scale: Any, out: Grid,
 ) -> None:  # fmt: skip
     """Fill out (4, h, w): how far each quadrant's gradient belongs to the pixel's own surface, 0 to 1.
 
     Where lights arrive the pixel knows its slope; a quadrant whose depth gradient disagrees crosses a step:
-    weight (s / (s + χ²))² (Geman and McClure's: a step has no pull at all), where s = softness under three
-    lights and shadow_softness under two. Other pixels take what they are given.
+    weight (s / (s + χ²))² (Geman and McClure's: a step has no weight at all), where s = robust_scale under
+    three lights and shadow_robust_scale under two. Other pixels take what they are given.
     """
     h, w = labels.shape
     for v in prange(h):
@@ -68,7 +68,7 @@ def weights_kernel(
         for u in range(w):
             bits = label[u]
             lights = (bits & 1) + ((bits >> 1) & 1) + (bits >> 2)
-            known = softness if lights == 3 else shadow_softness
+            known = robust_scale if lights == 3 else shadow_robust_scale
             soft[u] = known if lights >= 2 else np.float32(NO_STEP)
         for i in range(4):
             y, to = (v + 1 if i < 2 else v - 1), out[i, v]

@@ -28,12 +28,12 @@ from vntoolkit.arrays import Float32Array, FloatArray, Mask
 from vntoolkit.integration.edges import EdgeField, chords_from_slopes
 from vntoolkit.integration.poisson import MaskedSolver
 from vntoolkit.native import njit
+from vntoolkit.spread import MEDIAN_TO_DEVIATION, NINE_OF_TEN_IN_PLANE
 
 _LEAST_WEIGHT = 1e-5  # of a fully cut edge: keeps parts that only cuts connect from floating freely
 _LEAST_NOISE = 1e-4  # pixels: rounding of float32 normals; a noiseless map has no other scale
 _BEND = 10.0  # standard deviations of a facing edge's difference per pixel of disagreement
-_MEDIAN_TO_DEVIATION = 1.4826
-_PER_NORMAL = math.radians(1.0) / 2.146  # standard deviation over the bound of nine of ten, of directions
+_PER_NORMAL = math.radians(1.0) / NINE_OF_TEN_IN_PLANE  # of directions: deviation over the bound
 _ROUNDS = 12  # times the weights are computed anew
 _SCALE = 2.0  # standard deviations of an edge's residual at which its weight is a quarter
 # The first scale against the last, and the share of the rounds from which the last holds: nothing is cut at
@@ -170,7 +170,7 @@ def are_explained(residuals: Float32Array) -> bool:
 def deviation_of(residuals: Float32Array) -> float:
     """Return the deviation of sizes that are not below 0, by their median."""
     some = residuals[residuals >= 0]
-    return _MEDIAN_TO_DEVIATION * float(np.median(some[:: 1 + len(some) // _VOTES])) if len(some) else 0.0
+    return MEDIAN_TO_DEVIATION * float(np.median(some[:: 1 + len(some) // _VOTES])) if len(some) else 0.0
 
 
 @njit(cache=True, parallel=True)
@@ -178,10 +178,10 @@ def _normalised(depth, difference, variance, out):  # type: ignore[no-untyped-de
     height, width = depth.shape
     for v in numba.prange(height):
         for k in range(2):
-            y, room = v + k, width - 1 + k
+            y, end = v + k, width - 1 + k
             for u in range(width):
                 spread = variance[k, v, u]
-                if u < room and y < height and spread > 0:
+                if u < end and y < height and spread > 0:
                     residual = depth[y, u + 1 - k] - depth[v, u] - difference[k, v, u]
                     out[k, v, u] = abs(residual) / np.sqrt(spread)
                 else:

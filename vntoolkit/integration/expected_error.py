@@ -23,6 +23,7 @@ from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import NOISE_CELL_PX, DepthMap, NormalMap
 from vntoolkit.integration.slopes import RayField, rays_from_camera
 from vntoolkit.native import njit
+from vntoolkit.spread import NINE_OF_TEN, NINE_OF_TEN_IN_PLANE
 
 _LARGEST_SIDE = 24  # of the coarse grid, in blocks, about: shared errors are smooth
 _SAMPLES_A_SIDE = 4  # of a block
@@ -30,9 +31,8 @@ _ROWS = 180  # that tell the range of the depth
 _LEAST_COVER = 0.25  # of a block by the depth map
 _LEAST_FACING = 0.15
 _LEAST_WEIGHT = 1e-3
-_PER_NORMAL = 1.0 / 2.146  # standard deviation of a direction over the bound of nine of ten
-_NINE_OF_TEN = 1.2  # standard deviations that hold nine of ten pixels of the package's own scenes …
-_OF_NOISE = 1.645  # … and of what is normally distributed
+_PER_NORMAL = 1.0 / NINE_OF_TEN_IN_PLANE  # standard deviation of a direction over the bound of nine of ten
+_OF_SCENES = 1.2  # standard deviations that hold nine of ten pixels of the package's own scenes
 _FARTHEST = np.float32(3e38)
 _TURNS = 9  # entries of ΔM
 _HOLD = 1e-9  # holds the constant that every component leaves free, before its mean is removed
@@ -56,7 +56,7 @@ def with_expected_depth_error(depth_map: DepthMap, normal_map: NormalMap, camera
     else:
         spread, block = _spread_of(normal_map, mask, rays_from_camera(camera))
         scale = np.ascontiguousarray(depth_map.depth) if camera.is_perspective else None
-        _enlarge(spread * np.float32(100.0 * _NINE_OF_TEN / span), block, mask, scale, error)
+        _enlarge(spread * np.float32(100.0 * _OF_SCENES / span), block, mask, scale, error)
     return replace(depth_map, error_percent=error)
 
 
@@ -91,7 +91,7 @@ def _coarse_error(normal_map: NormalMap, mask: Mask, block: int, rays: RayField)
     inside: Mask = sums[0] > _LEAST_COVER * places
     ray = (rays.affine.astype(np.float64), rays.depth_scales_ray)
     growth = math.log(max(mask.shape)) / (2 * math.pi) / rays.pixels_per_unit**2
-    random = (np.radians(_PER_NORMAL) * _OF_NOISE / _NINE_OF_TEN) ** 2 * growth
+    random = (np.radians(_PER_NORMAL) * NINE_OF_TEN / _OF_SCENES) ** 2 * growth
     depth, variance = _depth_of_turns(sums, inside, places, block, ray, random)
     if inside.all():
         depth -= depth.mean(axis=(0, 1))

@@ -28,11 +28,12 @@ from vntoolkit.integration.poisson import CosineSolver, FourierSolver, MaskedSol
 from vntoolkit.integration.prior import DepthPrior
 from vntoolkit.integration.slopes import RayField, rays_from_camera, slopes_from_normals
 from vntoolkit.native import njit
-from vntoolkit.options.depth import IntegrationOptions, Integrator, Precision
+from vntoolkit.options.depth import IntegrationOptions, Integrator
 
 _logger = logging.getLogger(__name__)
 _RECTANGLE = (Integrator.COSINE, Integrator.FOURIER)
 _LEAST_TRUST = np.float32(1e-4)  # of a pixel in the domain: with none, what lies beyond it would float
+_LEAST_WEIGHT = 0.02  # confidence of a pixel that is left out
 _LEAST_SIZE = 5  # pixels that the one-sided stencils need
 _FEWEST_PIXELS = 64
 _VOTES = 20_000  # pixels that the median is taken over, evenly spread
@@ -46,7 +47,7 @@ class DepthIntegrator:
     Depth from normals lacks one constant per connected component of the domain (pixels that share a side):
     orthographic depth is shifted to mean 0 over each component, perspective depth is scaled to mean 1
     over each (`LengthUnit.FREE`): components are **not** placed relative to each other. The domain is the
-    mask without the pixels whose confidence is below `options.least_weight`, and without normals that turn
+    mask without the pixels whose confidence is below 0.02, and without normals that turn
     away from the camera or have no length, whose number is logged.
 
     Confidence beyond that threshold weighs the equations of POISSON and DISCONTINUITY. COSINE and FOURIER
@@ -95,9 +96,7 @@ class DepthIntegrator:
         plain = steps is None and prior is None
         if choice in _RECTANGLE or (choice is Integrator.DISCONTINUITY and full and plain):
             self.parts = None
-            p, q = slopes_from_normals(
-                normal_map.normals_in_camera, self._rays, self._options.steepest_slope_deg
-            )
+            p, q = slopes_from_normals(normal_map.normals_in_camera, self._rays)
             solution = self._solve_rectangle(p, q)
             if (
                 choice in _RECTANGLE
@@ -114,7 +113,7 @@ class DepthIntegrator:
         if not sum_is_finite(normals):  # a pixel outside the domain may be anything
             require_finite(normals[domain], "normals to integrate")
         if self._domain is None or not np.array_equal(domain, self._domain.domain):
-            self._domain = DomainSolver(domain, self._rays, self._options)
+            self._domain = DomainSolver(domain, self._rays)
         self.parts = self._domain.components
         poisson = self._options.integrator is Integrator.POISSON or not self._may_jump
         solve = self._domain.poisson if poisson else self._domain.discontinuity
@@ -130,7 +129,7 @@ class DepthIntegrator:
     def _domain_of(self, normal_map: NormalMap) -> Mask:
         domain = normal_map.mask
         if normal_map.weight is not None:
-            domain = domain & (normal_map.weight >= self._options.least_weight)
+            domain = domain & (normal_map.weight >= _LEAST_WEIGHT)
         unseen = domain & self._unseen(normal_map.normals_in_camera)
         if unseen.any():
             _logger.warning(
@@ -161,8 +160,7 @@ class DepthIntegrator:
     def _solve_rectangle(self, p: Float32Array, q: Float32Array) -> Array:
         if self._rectangle is None:
             fourier = self._options.integrator is Integrator.FOURIER
-            dtype = np.float32 if self._options.precision is Precision.SINGLE else np.float64
-            self._rectangle = (FourierSolver if fourier else CosineSolver)(p.shape[0], p.shape[1], dtype)
+            self._rectangle = (FourierSolver if fourier else CosineSolver)(p.shape[0], p.shape[1])
         solution = self._rectangle.solve(divergence_from_slopes(p, q))
         if not np.isfinite(solution[0, 0]):  # every pixel of a transform holds a little of every other
             raise BadInput("normals to integrate: some are NaN or infinite; leave them out of the mask")
@@ -188,19 +186,17 @@ class DomainSolver:
     connected component and 0 outside.
     """
 
-    def __init__(self, domain: Mask, rays: RayField, options: IntegrationOptions) -> None:
+    def __init__(self, domain: Mask, rays: RayField) -> None:
         self.domain = domain
         self.components = Components(domain)
         self.iterations = 0
         self._rays = rays
-        self._options = options
         self._last: Float64Array | None = None
         self._jumps: JumpSolver | None = None  # of the last solution, where edges were cut
 
     @cached_property
     def _masked(self) -> MaskedSolver:
-        inside, options = self.domain[self.components.box], self._options
-        return MaskedSolver(inside, tolerance=options.tolerance, most_iterations=options.most_iterations)
+        return MaskedSolver(self.domain[self.components.box])
 
     @cached_property
     def _near(self) -> RayField:
@@ -267,17 +263,17 @@ class DomainSolver:
         off = max(deviation_of(normalised_residuals(own, difference, errors.variance)), 1.0)
         unit = off**2 * float(errors.variance[errors.variance > 0].min())  # variance of the weight 1
         values, information = prior.measurements(scale, self._rays.depth_scales_ray > 0)
-        value, pull = values[box], np.where(self.domain[box], information[box], 0.0) * unit
+        value, known_weight = values[box], np.where(self.domain[box], information[box], 0.0) * unit
         field = EdgeField(difference=np.asarray(difference, np.float32), weight=weight)
-        start = self.components.moved_to(own, value, pull)
-        found = self._masked.solve(field, start, weighted=True, known=(value, pull))
+        start = self.components.moved_to(own, value, known_weight)
+        found = self._masked.solve(field, start, weighted=True, known=(value, known_weight))
         out = np.zeros_like(solution)
         out[box] = np.where(self.domain[box], found, 0.0) / scale
         return out
 
     def _slopes(self, normal_map: NormalMap) -> tuple[Float32Array, Float32Array]:
         normals = normal_map.normals_in_camera[self.components.box]
-        return slopes_from_normals(normals, self._near, self._options.steepest_slope_deg)
+        return slopes_from_normals(normals, self._near)
 
     def _weight(self, normal_map: NormalMap) -> Weight | None:
         weight = normal_map.weight

@@ -127,7 +127,7 @@ def laplacian_eigenvalues(length: int, count: int | None = None) -> Float64Array
 class MaskedSolver:
     """Least squares over the edges of one domain; keeps what depends on the domain alone."""
 
-    def __init__(self, domain: Mask, *, tolerance: float, most_iterations: int) -> None:
+    def __init__(self, domain: Mask, *, tolerance: float = 1e-5, most_iterations: int = 1000) -> None:
         rows, columns = np.flatnonzero(domain.any(axis=1)), np.flatnonzero(domain.any(axis=0))
         self._box = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
         self._shape = domain.shape
@@ -170,13 +170,13 @@ class MaskedSolver:
         self._levels = _levels_of(right, down) if weighted else None
         load, depth = np.zeros(right.shape), np.zeros(right.shape)
         _load(*(self._padded(each) for each in edges.difference), right, down, load)
-        pull = None
+        known_weight = None
         if known is not None:
-            pull = self._padded(known[1])
-            load += pull * self._padded(known[0])
+            known_weight = self._padded(known[1])
+            load += known_weight * self._padded(known[0])
         if start is not None and load.any():  # else 0 is the solution
             depth[1:-1, 1:-1] = self._padded(start)[1:-1, 1:-1]
-        self._iterate(right, down, pull, depth, load, tolerance, most_iterations)
+        self._iterate(right, down, known_weight, depth, load, tolerance, most_iterations)
         out = np.zeros(self._shape)
         box_height, box_width = (s.stop - s.start for s in self._box)
         out[self._box] = depth[1 : box_height + 1, 1 : box_width + 1]
@@ -186,7 +186,7 @@ class MaskedSolver:
         self,
         right: Float32Array,
         down: Float32Array,
-        pull: FloatArray | None,
+        known_weight: FloatArray | None,
         depth: Float64Array,
         load: Float64Array,
         given_tolerance: float | None,
@@ -197,7 +197,7 @@ class MaskedSolver:
         most = self._most_iterations if given_most is None else given_most
         direction, product = np.zeros(depth.shape, np.float32), np.zeros(depth.shape)
         scaled, sums = np.empty(self._inside.shape, np.float32), np.zeros(len(depth))
-        _apply_known(right, down, pull, depth, product, sums)
+        _apply_known(right, down, known_weight, depth, product, sums)
         residual = load - product
         scale = float(np.vdot(depth, load))
         largest = _largest(residual) or 1.0
@@ -216,7 +216,7 @@ class MaskedSolver:
                 if left <= tolerance**2 * scale:
                     return
             _advance(direction, correction, energy / previous)
-            _apply_known(right, down, pull, direction, product, sums)
+            _apply_known(right, down, known_weight, direction, product, sums)
             step = energy / float(sums.sum())
             self.iterations += 1
         if given_most is not None:
@@ -224,7 +224,7 @@ class MaskedSolver:
         raise SolverFailed(
             f"masked Poisson did not converge in {self._most_iterations} iterations (relative "
             f"residual {np.sqrt(energy * largest**2 / scale):.1e}, wanted {tolerance:.1e}): "
-            "raise --most-iterations or --tolerance"
+            "leave out the normals that contradict each other, or take --integrator discontinuity"
         )
 
     def _precondition(self, residual: Float32Array) -> Float32Array:
@@ -245,15 +245,15 @@ class MaskedSolver:
 
 
 def _apply_known(
-    right: Float32Array, down: Float32Array, pull: FloatArray | None, x: FloatArray, out: Float64Array,
-    sums: Float64Array,
+    right: Float32Array, down: Float32Array, known_weight: FloatArray | None, x: FloatArray,
+    out: Float64Array, sums: Float64Array,
 ) -> None:  # fmt: skip
     """`_apply` of edges and of known depths."""
     _apply(right, down, x, out, sums)
-    if pull is not None:
-        held = pull * x
-        out += held
-        sums += np.einsum("vu,vu->v", held, x)
+    if known_weight is not None:
+        known_part = known_weight * x
+        out += known_part
+        sums += np.einsum("vu,vu->v", known_part, x)
 
 
 def _levels_of(right: Array, down: Array) -> GridHierarchy:

@@ -12,8 +12,7 @@ from vntoolkit.arrays import Float64Array, FloatArray, Mask
 from vntoolkit.checks import require_mask, require_same_size, require_some
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.maps import DepthMap
-
-_OF_NOISE = 1.645  # standard deviations that nine of ten stay within
+from vntoolkit.spread import NINE_OF_TEN
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -44,7 +43,8 @@ class DepthPrior:
         if perspective and known.min() <= 0:
             raise BadInput("prior: expected depths above 0, in metres from the camera")
         value[at] = (np.log(known) if perspective else known) * pixels_per_unit
-        deviation = np.asarray(self.error)[at] / _OF_NOISE * pixels_per_unit / (known if perspective else 1.0)
+        deviation = np.asarray(self.error)[at] / NINE_OF_TEN * pixels_per_unit
+        deviation /= known if perspective else 1.0
         information[at] = 1.0 / deviation**2
         return value, information
 

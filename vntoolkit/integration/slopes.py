@@ -65,7 +65,7 @@ def _ray_table(camera: Camera) -> Float32Array:
 
 
 def slopes_from_normals(
-    normals_in_camera: Normals, rays: RayField, steepest_slope_deg: float
+    normals_in_camera: Normals, rays: RayField, steepest_slope_deg: float = 89.0
 ) -> tuple[Float32Array, Float32Array]:
     """Return (s_u, s_v), each (h, w) float32, per pixel, from normals (h, w, 3) in the camera frame.
 

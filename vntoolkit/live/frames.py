@@ -15,7 +15,7 @@ from vntoolkit.geometry.rectification import Rectification
 from vntoolkit.integration.integrate import DepthAnchor, DepthIntegrator
 from vntoolkit.io.footage.decoding import EncodedFrame, linear_frame_from_encoded, rectify_frame
 from vntoolkit.io.footage.mattes import PlateKey
-from vntoolkit.native import loops_may_overlap, njit
+from vntoolkit.native import loops_may_overlap
 from vntoolkit.options.normals import ShadowMethod
 from vntoolkit.options.reconstruction import MaterialSearch, Product, ReconstructOptions
 from vntoolkit.photometry.rig import Rig
@@ -199,29 +199,18 @@ def reduced(normal_map: NormalMap, step: int) -> NormalMap:
     """Return means over blocks of step × step pixels, of unit length; valid where half a block is."""
     if step == 1:
         return normal_map
+    import cv2
+
     height, width = (size // step for size in normal_map.shape)
-    unit, mask = np.zeros((height, width, 3), np.float32), np.zeros((height, width), np.bool_)
-    _take_means(normal_map.normals_in_camera, normal_map.mask, step, unit, mask)
+    block = np.s_[: height * step, : width * step]
+    mean, share = (
+        cv2.resize(each[block], (width, height), interpolation=cv2.INTER_AREA)
+        for each in (normal_map.normals_in_camera, normal_map.mask.astype(np.float32))
+    )
+    length = np.linalg.norm(mean, axis=2)  # 0 where invalid
+    mask: Mask = (share >= 0.5) & (length > 0)
+    unit = np.where(mask[..., None], mean / np.where(mask, length, 1.0)[..., None], np.float32(0.0))
     return NormalMap(normals_in_camera=unit, mask=mask)
-
-
-@njit(cache=True)
-def _take_means(normals, mask, step, unit, valid):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """Fill unit (h, w, 3), zeros, and valid (h, w) from normals and mask, step times as high and wide."""
-    for v in range(unit.shape[0]):
-        for u in range(unit.shape[1]):
-            x = y = z = np.float32(0)
-            count = 0
-            for row in range(v * step, (v + 1) * step):
-                for column in range(u * step, (u + 1) * step):  # 0 where invalid
-                    x += normals[row, column, 0]
-                    y += normals[row, column, 1]
-                    z += normals[row, column, 2]
-                    count += mask[row, column]
-            length = np.sqrt(x * x + y * y + z * z)
-            if 2 * count >= step * step and length > 0:
-                valid[v, u] = True
-                unit[v, u, 0], unit[v, u, 1], unit[v, u, 2] = x / length, y / length, z / length
 
 
 def exposure_warnings(frame: EncodedFrame) -> tuple[str, ...]:

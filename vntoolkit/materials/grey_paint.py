@@ -61,7 +61,9 @@ def in_doubt(found: list[Material], searched: SearchedFrames) -> list[Material]:
     for m, each in enumerate(found):
         own = labels == m
         samples = regions.samples[own][regions.known[own]]
-        one, other = ((samples * np.exp(-log) - lamps.haze) @ lamps.inverse.T for log in (logs[m], grey[0]))
+        one, other = (
+            (samples * np.exp(-log) - lamps.ambient) @ lamps.inverse.T for log in (logs[m], grey[0])
+        )
         cosines = (one * other).sum(axis=1) / np.linalg.norm(one, axis=1) / np.linalg.norm(other, axis=1)
         turn_deg = float(np.degrees(np.arccos(np.median(cosines).clip(-1.0, 1.0)))) if len(cosines) else 0.0
         doubtful.append(replace(each, doubt_deg=float(np.sqrt(share)) * turn_deg))
@@ -71,7 +73,7 @@ def in_doubt(found: list[Material], searched: SearchedFrames) -> list[Material]:
 def _grey(searched: SearchedFrames) -> Points:
     """(1, 3), log ρ of one paint of the rig's hue: with it the median length of normals is 1."""
     regions, lamps = searched.regions, searched.split.lamps
-    normals = (regions.samples[regions.known] - lamps.haze) @ lamps.inverse.T
+    normals = (regions.samples[regions.known] - lamps.ambient) @ lamps.inverse.T
     return np.full((1, 3), np.log(np.median(np.linalg.norm(normals, axis=1))))
 
 

@@ -27,6 +27,7 @@ from vntoolkit.materials.mixtures import (
 from vntoolkit.materials.reflectance import CAP, Lamps
 from vntoolkit.materials.split_frame import noise_of
 from vntoolkit.native import njit
+from vntoolkit.spread import MEDIAN_TO_DEVIATION, robust_deviation
 
 _FIRST_BLUR_PX = 1.0  # of a lens and a Bayer pattern; sharper pictures show it, and are decided again
 _SHARED = 4.0  # pixels that share their errors: texture and blur reach over 2 × 2
@@ -77,7 +78,7 @@ class LabelEnergy:
         """(h, w), the price of each length, of the steps to the right and below, and of seams there."""
         of_lengths, of_steps = self.precisions
         mean = blurred_reflectances(labels, self.rho, self.seams.blur_px, _REACH_PX)
-        normals = (self.s / mean - self.lamps.haze) @ self.lamps.inverse.T
+        normals = (self.s / mean - self.lamps.ambient) @ self.lamps.inverse.T
         t = (np.sqrt((normals**2).sum(axis=2)) - 1.0) ** 2 * of_lengths
         paid, shade = t / (_MOST + t) * self.lit, np.log(self.s / mean)
         for one, other in ((np.s_[:-1], np.s_[1:]), (np.s_[:, :-1], np.s_[:, 1:])):
@@ -104,7 +105,7 @@ class LabelEnergy:
         known = (
             self.s, mean, np.log(self.s / mean), self.rho.astype(np.float32),
             blur_weights(self.seams.blur_px, _REACH_PX).astype(np.float32),
-            self.lamps.haze.astype(np.float32), self.lamps.inverse.astype(np.float32), *self.precisions,
+            self.lamps.ambient.astype(np.float32), self.lamps.inverse.astype(np.float32), *self.precisions,
         )  # fmt: skip
         most_left = _FINAL * np.count_nonzero(near_seams(labels, 1)) if of_pixels > 1 else 0
         for side, sweeps in ((_BLOCK_PX, of_blocks), (1, of_pixels)):
@@ -144,8 +145,8 @@ def _variance_of_lengths(
 ) -> float:
     """Robust variance of the normals' lengths: of noise, texture, gloss, and light between folds."""
     chosen = np.flatnonzero(lit)[:: max(1, lit.size // _JUDGED)]
-    normals = (s.reshape(-1, 3)[chosen] / rho[labels.ravel()[chosen]] - lamps.haze) @ lamps.inverse.T
-    return max((1.4826 * float(np.median(np.abs(np.linalg.norm(normals, axis=1) - 1.0)))) ** 2, 1e-6)
+    normals = (s.reshape(-1, 3)[chosen] / rho[labels.ravel()[chosen]] - lamps.ambient) @ lamps.inverse.T
+    return max(robust_deviation(np.linalg.norm(normals, axis=1) - 1.0) ** 2, 1e-6)
 
 
 def _variance_of_steps(s: FloatArray, lit: Mask, lamps: Lamps, labels: MaterialLabels) -> float:
@@ -156,12 +157,12 @@ def _variance_of_steps(s: FloatArray, lit: Mask, lamps: Lamps, labels: MaterialL
         return _LEAST_STEP**2
     here, there = (np.maximum(part[both], lamps.noise) for part in (s[rows, :-1], s[rows, 1:]))
     steps = np.median(np.abs(np.log(there / here)), axis=0)
-    return float(max((1.4826**2 * steps**2).mean(), _LEAST_STEP**2))
+    return float(max((MEDIAN_TO_DEVIATION**2 * steps**2).mean(), _LEAST_STEP**2))
 
 
 @njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
 def _move(
-    labels: Any, lit: Any, active: Any, s: Any, mean: Any, shade: Any, rho: Any, weights: Any, haze: Any,
+    labels: Any, lit: Any, active: Any, s: Any, mean: Any, shade: Any, rho: Any, weights: Any, ambient: Any,
     inverse: Any, of_lengths: Any, of_steps: Any, side: int,
 ) -> int:  # fmt: skip
     """Give each pixel, or each of overlapping blocks, the label that costs least.
@@ -189,7 +190,19 @@ def _move(
                         continue
                     top, left, best = v - _MARGIN_PX, u - _MARGIN_PX, -1
                     least = _price(
-                        lit, s, mean, shade, top, left, top, left, size, haze, inverse, of_lengths, of_steps
+                        lit,
+                        s,
+                        mean,
+                        shade,
+                        top,
+                        left,
+                        top,
+                        left,
+                        size,
+                        ambient,
+                        inverse,
+                        of_lengths,
+                        of_steps,
                     )
                     least += _seam(labels, v, u, side, -1)
                     for m in range(len(rho)):
@@ -206,7 +219,7 @@ def _move(
                                 0,
                                 0,
                                 size,
-                                haze,
+                                ambient,
                                 inverse,
                                 of_lengths,
                                 of_steps,
@@ -274,8 +287,8 @@ def _mix(
 
 @njit(cache=True, fastmath=True, error_model="numpy")
 def _price(
-    lit: Any, s: Any, mean: Any, shade: Any, top: int, left: int, row: int, column: int, size: int, haze: Any,
-    inverse: Any, of_lengths: Any, of_steps: Any,
+    lit: Any, s: Any, mean: Any, shade: Any, top: int, left: int, row: int, column: int, size: int,
+    ambient: Any, inverse: Any, of_lengths: Any, of_steps: Any,
 ) -> Any:  # fmt: skip
     """Price of the lengths and of the steps of shading that a change in a window's middle changes.
 
@@ -288,8 +301,8 @@ def _price(
             if not lit[v, u]:
                 continue
             if a > 0 and b > 0:
-                x0, x1 = s[v, u, 0] / mean[i, j, 0] - haze[0], s[v, u, 1] / mean[i, j, 1] - haze[1]
-                x2, squared = s[v, u, 2] / mean[i, j, 2] - haze[2], _NONE
+                x0, x1 = s[v, u, 0] / mean[i, j, 0] - ambient[0], s[v, u, 1] / mean[i, j, 1] - ambient[1]
+                x2, squared = s[v, u, 2] / mean[i, j, 2] - ambient[2], _NONE
                 for k in range(3):
                     n = inverse[k, 0] * x0 + inverse[k, 1] * x1 + inverse[k, 2] * x2
                     squared += n * n

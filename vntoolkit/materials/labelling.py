@@ -18,7 +18,7 @@ from vntoolkit.arrays import Float32Array, Mask, MaterialLabels, Points, Vector3
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.materials.label_moves import MARGIN_PX, LabelEnergy, labels_and_energy
 from vntoolkit.materials.mixtures import SEAM_PRICE, Seams, Spread, near_seams
-from vntoolkit.materials.paint import Surface, without_paint
+from vntoolkit.materials.paint import PaintSurface, without_paint
 from vntoolkit.materials.pigment import pigment_of
 from vntoolkit.materials.reflectance import Lamps
 from vntoolkit.materials.region_labels import agreed, prices_of_regions, spread_of
@@ -82,7 +82,7 @@ class LabelState:
 
     statistics: FrameStatistics | None = None
     before: _Before | None = None
-    surface: Surface | None = None
+    surface: PaintSurface | None = None
 
     @property
     def seams(self) -> Seams | None:
@@ -110,10 +110,10 @@ class MaterialLabeller:
         labels = np.zeros(mask.shape, np.uint8)
         if len(self.reflectances) == 1 or not mask.any():
             return labels, state
-        told, before = state.statistics, state.before
-        if before is None and told is not None and told.factor != block_size(mask):
-            told = None
-        factor = block_size(mask) if told is None else told.factor
+        measured, before = state.statistics, state.before
+        if before is None and measured is not None and measured.factor != block_size(mask):
+            measured = None
+        factor = block_size(mask) if measured is None else measured.factor
         box = steady_box(mask, factor, None if before is None else before.box)
         inside = np.ascontiguousarray(mask[box])
         if self.leveller is None:
@@ -121,20 +121,20 @@ class MaterialLabeller:
         else:
             part = self.leveller.part_by_strength(frame, box)
         split = split_frame(
-            part, self.response, inside, like=None if told is None else (told.factor, told.lamps)
+            part, self.response, inside, like=None if measured is None else (measured.factor, measured.lamps)
         )
         cells, coarse = cells_of(split.colours), None
-        if told is not None and before is not None and before.box == box:
-            coarse = self._carried(split, cells, told, before)
+        if measured is not None and before is not None and before.box == box:
+            coarse = self._carried(split, cells, measured, before)
         if coarse is None:
-            coarse, told, before = self._decided(split, told, box, cells)
-        if coarse is None or told is None or before is None:
+            coarse, measured, before = self._decided(split, measured, box, cells)
+        if coarse is None or measured is None or before is None:
             return labels, replace(state, before=None)
-        found, told = self._of_pixels(part, inside, split, coarse, told)
+        found, measured = self._of_pixels(part, inside, split, coarse, measured)
         labels[box] = found * inside
         _take_blocks(labels[box], inside, split.factor, coarse)
         before = replace(before, labels=coarse, lit=split.lit, cells=cells)
-        return labels, replace(state, statistics=told, before=before)
+        return labels, replace(state, statistics=measured, before=before)
 
     def _of_pixels(
         self,
@@ -142,30 +142,32 @@ class MaterialLabeller:
         inside: Mask,
         split: SplitFrame,
         coarse: MaterialLabels,
-        told: FrameStatistics,
+        measured: FrameStatistics,
     ) -> tuple[MaterialLabels, FrameStatistics]:
         """Return labels of pixels from those of blocks, and the statistics with the seams of pixels."""
         if split.factor == 1:
-            return coarse, replace(told, seams=told.of_blocks)
+            return coarse, replace(measured, seams=measured.of_blocks)
         side, (h, w) = split.factor, inside.shape
         labels = np.ascontiguousarray(coarse.repeat(side, 0).repeat(side, 1)[:h, :w])
         near = near_seams(labels, MARGIN_PX + side - 1)
-        lamps = told.lamps._replace(mixing=told.lamps.mixing * side, noise=told.lamps.noise * side)
-        known = lamps, self.reflectances, told.spread
-        if told.seams is not told.of_blocks:
-            return LabelEnergy.of(part.rgb, inside, *known, told.seams).followed(labels, near), told
+        lamps = measured.lamps._replace(
+            mixing=measured.lamps.mixing * side, noise=measured.lamps.noise * side
+        )
+        known = lamps, self.reflectances, measured.spread
+        if measured.seams is not measured.of_blocks:
+            return LabelEnergy.of(part.rgb, inside, *known, measured.seams).followed(labels, near), measured
         found, energy = labels_and_energy(part.rgb, inside, labels, *known, near, near)
-        return found, replace(told, seams=energy.seams)
+        return found, replace(measured, seams=energy.seams)
 
     def _carried(
-        self, split: SplitFrame, cells: Float32Array, told: FrameStatistics, before: _Before
+        self, split: SplitFrame, cells: Float32Array, measured: FrameStatistics, before: _Before
     ) -> MaterialLabels | None:
         """Return labels of blocks from those of the frame before; None where these do not explain it."""
         blocks = blocks_moved(before.cells, cells)
         if blocks > _BESIDE or blocks_moved(before.whole, cells) > _AS_A_WHOLE:
             return None
         energy = LabelEnergy.of(
-            split.colours, split.lit, told.lamps, self.reflectances, told.spread, told.of_blocks
+            split.colours, split.lit, measured.lamps, self.reflectances, measured.spread, measured.of_blocks
         )  # fmt: skip
         doubtful = (energy.prices(before.labels) > before.doubtful) | (split.lit & ~before.lit)
         reach = min(int(np.ceil(2.0 * blocks)), _BESIDE)  # parts may have moved twice as far
@@ -175,23 +177,27 @@ class MaterialLabeller:
         return found
 
     def _decided(
-        self, split: SplitFrame, told: FrameStatistics | None, box: tuple[slice, slice], cells: Float32Array
+        self,
+        split: SplitFrame,
+        measured: FrameStatistics | None,
+        box: tuple[slice, slice],
+        cells: Float32Array,
     ) -> tuple[MaterialLabels | None, FrameStatistics | None, _Before | None]:
         """Return labels of blocks, from those of regions; None where no region is lit."""
         regions, logs = regions_of(split), np.log(self.reflectances)
         if not regions.count:
-            return None, told, None
+            return None, measured, None
         lengths = lengths_of(regions, logs, split.lamps)
-        spread = _spread(lengths, logs, regions) if told is None else told.spread
+        spread = _spread(lengths, logs, regions) if measured is None else measured.spread
         costs = prices_of_regions(lengths, spread)
         of_regions = agreed(costs, logs, regions, SEAM_PRICE)
         found = of_regions[regions.labels].astype(np.uint8)
         doubtful = np.take_along_axis(costs, of_regions[:, None], 1)[:, 0] > _DOUBTFUL
         active = ~regions.plain | doubtful[regions.labels] | near_seams(found, _BESIDE)
         known = split.lamps, self.reflectances, spread
-        if told is None:
+        if measured is None:
             found, energy = labels_and_energy(split.colours, split.lit, found, *known, active)
-            told = FrameStatistics(
+            measured = FrameStatistics(
                 factor=split.factor,
                 lamps=split.lamps,
                 spread=spread,
@@ -199,14 +205,14 @@ class MaterialLabeller:
                 seams=energy.seams,
             )
         else:
-            energy = LabelEnergy.of(split.colours, split.lit, *known, told.of_blocks)
+            energy = LabelEnergy.of(split.colours, split.lit, *known, measured.of_blocks)
             found = energy.decided(found, active)
         paid = energy.prices(found)[split.lit]
         before = _Before(
             labels=found, lit=split.lit, box=box, cells=cells, whole=cells,
             doubtful=float(np.quantile(paid, 1.0 - _DOUBTFUL_SHARE)), mean_price=float(paid.mean()),
         )  # fmt: skip
-        return found, told, before
+        return found, measured, before
 
     def relit(
         self,
@@ -238,8 +244,8 @@ class MaterialLabeller:
 
         A small one shares the line of the largest that has one: skin and hair hold the same pigment.
         """
-        told = state.statistics
-        like = None if told is None else (told.factor, told.lamps)
+        measured = state.statistics
+        like = None if measured is None else (measured.factor, measured.lamps)
         split, logs = split_frame(frame, self.response, mask, like=like), np.log(self.reflectances)
         middle = split.factor // 2
         places = (

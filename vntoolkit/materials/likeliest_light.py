@@ -37,15 +37,15 @@ def likeliest_light(
     """
     reach, shape = reach_of_blur(seams.blur_px), labels.shape
     blur, around = (blur_weights(seams.blur_px, each).astype(np.float32) for each in (reach, _REACH_PX))
-    mixtures, told = np.empty((8, *shape), np.float32), np.empty((7, *shape), np.float32)
+    mixtures, observed = np.empty((8, *shape), np.float32), np.empty((7, *shape), np.float32)
     _mix(labels, near_seams(labels, reach), rho.astype(np.float32), blur, mixtures)
-    haze, inverse = lamps.haze.astype(np.float32), lamps.inverse.astype(np.float32)
+    ambient, inverse = lamps.ambient.astype(np.float32), lamps.inverse.astype(np.float32)
     steps, tolerance = np.float32(seams.steps), np.float32(seams.tolerance)
     noise = np.asarray(seams.noise, np.float32) ** 2
     planes = np.ascontiguousarray(np.moveaxis(contributions, 2, 0))
-    _observe(planes, mixtures, mask, haze, inverse, noise, steps, tolerance, told)
+    _observe(planes, mixtures, mask, ambient, inverse, noise, steps, tolerance, observed)
     out = np.empty((3, *shape), np.float32)
-    _weigh(told, around, haze, inverse, steps, tolerance, out)
+    _weigh(observed, around, ambient, inverse, steps, tolerance, out)
     return np.moveaxis(out, 0, 2)
 
 
@@ -85,7 +85,7 @@ def _mix(labels: Any, near: Any, rho: Any, weights: Any, out: Any) -> None:
 
 @njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
 def _observe(
-    s: Any, mixtures: Any, mask: Any, haze: Any, inverse: Any, noise: Any, steps: Any, tolerance: Any,
+    s: Any, mixtures: Any, mask: Any, ambient: Any, inverse: Any, noise: Any, steps: Any, tolerance: Any,
     out: Any,
 ) -> None:  # fmt: skip
     """Fill (7, h, w): light, its relative variance by noise and mixture, and what a pixel tells others.
@@ -102,7 +102,7 @@ def _observe(
             if second >= _LEAST_SHARE:
                 ratio = tolerance / (_UNSURE * first * second)
                 for _ in range(2):
-                    moved = _moved(moved, light, mean, d, haze, inverse, ratio)
+                    moved = _moved(moved, light, mean, d, ambient, inverse, ratio)
                     moved = min(max(moved, -second), first)
             total = _NONE
             for k in range(3):
@@ -116,13 +116,13 @@ def _observe(
 
 
 @njit(cache=True, inline="always", fastmath=True, error_model="numpy")
-def _moved(moved: Any, s: Any, mean: Any, d: Any, haze: Any, inverse: Any, ratio: Any) -> Any:
+def _moved(moved: Any, s: Any, mean: Any, d: Any, ambient: Any, inverse: Any, ratio: Any) -> Any:
     """Return how far along d a mean reflectance is moved, from what was found before."""
     q0, q1, q2 = (
         _ONE / (mean[0] + moved * d[0]), _ONE / (mean[1] + moved * d[1]), _ONE / (mean[2] + moved * d[2])
     )  # fmt: skip
     y0, y1, y2 = s[0] * q0, s[1] * q1, s[2] * q2
-    length, g0, g1, g2 = _length(y0 - haze[0], y1 - haze[1], y2 - haze[2], inverse)
+    length, g0, g1, g2 = _length(y0 - ambient[0], y1 - ambient[1], y2 - ambient[2], inverse)
     slope = -(g0 * y0 * d[0] * q0 + g1 * y1 * d[1] * q1 + g2 * y2 * d[2] * q2)
     return slope * (slope * moved - length + _ONE) / (slope * slope + ratio)
 
@@ -143,31 +143,33 @@ def _length(x0: Any, x1: Any, x2: Any, inverse: Any) -> Any:
 
 
 @njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
-def _weigh(told: Any, weights: Any, haze: Any, inverse: Any, steps: Any, tolerance: Any, out: Any) -> None:
+def _weigh(
+    observed: Any, weights: Any, ambient: Any, inverse: Any, steps: Any, tolerance: Any, out: Any
+) -> None:
     """Fill (3, h, w), light moved towards that of the pixels around, then towards a normal of length 1.
 
-    told: of `_observe`. weights: of the pixels around, along a row; a pixel itself is taken out of them.
+    observed: of `_observe`. weights: of the pixels around, along a row; a pixel itself is taken out of them.
     """
-    _, h, w = told.shape
+    _, h, w = observed.shape
     reach = len(weights) // 2
     for v in prange(h):
         columns = np.zeros((4, w + 2 * reach), np.float32)
         for a in range(max(v - reach, 0), min(v + reach + 1, h)):
             weight = weights[a - v + reach]
             for u in range(w):
-                columns[3, reach + u] += weight * told[6, a, u]
+                columns[3, reach + u] += weight * observed[6, a, u]
             for k in range(3):
                 for u in range(w):
-                    columns[k, reach + u] += weight * told[6, a, u] * told[k, a, u]
+                    columns[k, reach + u] += weight * observed[6, a, u] * observed[k, a, u]
         sums = np.zeros((4, w), np.float32)
         for k in range(4):
             for b in range(len(weights)):
                 for u in range(w):
                     sums[k, u] += weights[b] * columns[k, u + b]
         for u in range(w):
-            y0, y1, y2 = told[0, v, u], told[1, v, u], told[2, v, u]
-            a0, a1, a2 = told[3, v, u] + _TINY, told[4, v, u] + _TINY, told[5, v, u] + _TINY
-            own = weights[reach] * weights[reach] * told[6, v, u]
+            y0, y1, y2 = observed[0, v, u], observed[1, v, u], observed[2, v, u]
+            a0, a1, a2 = observed[3, v, u] + _TINY, observed[4, v, u] + _TINY, observed[5, v, u] + _TINY
+            own = weights[reach] * weights[reach] * observed[6, v, u]
             share = _ONE / max(sums[3, u] - own, _FEWEST)
             m0, m1 = (sums[0, u] - own * y0) * share, (sums[1, u] - own * y1) * share
             m2 = (sums[2, u] - own * y2) * share
@@ -180,7 +182,7 @@ def _weigh(told: Any, weights: Any, haze: Any, inverse: Any, steps: Any, toleran
             q0, q1, q2 = a0 / (a0 + b), a1 / (a1 + b), a2 / (a2 + b)
             y0, y1, y2 = y0 + t0 * q0, y1 + t1 * q1, y2 + t2 * q2
             d0, d1, d2 = b * q0 * u0, b * q1 * u1, b * q2 * u2
-            length, g0, g1, g2 = _length(y0 - haze[0], y1 - haze[1], y2 - haze[2], inverse)
+            length, g0, g1, g2 = _length(y0 - ambient[0], y1 - ambient[1], y2 - ambient[2], inverse)
             variance, wrong = tolerance + g0 * g0 * d0 + g1 * g1 * d1 + g2 * g2 * d2, _ONE - length
             falling = _ONE + _OF_CAP * wrong * wrong / variance
             move = wrong / (variance * falling * falling)

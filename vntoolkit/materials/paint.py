@@ -58,7 +58,7 @@ _LEAST_COSINE = np.cos(np.radians(45.0))  # no paint of skin turns a normal fart
 _GUESSED = 3  # for `weights_kernel` a block of two lights, whose scale is another
 
 
-class Surface(NamedTuple):
+class PaintSurface(NamedTuple):
     """Of blocks of factor × factor pixels.
 
     depth: (h, w). slopes: (2, h, w). known: (h, w), where they are. box: rows and columns of the frame, and
@@ -81,8 +81,8 @@ def without_paint(
     rho: Points,
     lines: Points,
     camera: Camera | None,
-    before: Surface | None = None,
-) -> tuple[LinearFrame, Float32Array, Surface]:
+    before: PaintSurface | None = None,
+) -> tuple[LinearFrame, Float32Array, PaintSurface]:
     """Return the frame as it would be without the paint of its subject, a mask (h, w).
 
     And (h, w), by how many degrees that turns normals: the paint may be relief, so far are they in doubt.
@@ -104,7 +104,7 @@ def without_paint(
     surface = _surface_of(blocks, lamps, lines, ray_grid(camera), before)
     gains, turns = _gains(blocks, surface.slopes, ray_grid(camera), lamps)
     turned, out = np.zeros(frame.rgb.shape[:2], np.float32), frame.rgb.copy()
-    turned[box] = np.where(mask, _pixels_of(_doubt(turns), factor, mask.shape), 0.0)
+    turned[box] = np.where(mask, _pixels_of(_rms_around(turns), factor, mask.shape), 0.0)
     contributions = (rgb @ lamps.split.T.astype(np.float32)) * _between(gains, blocks, labels, mask)
     out[box] = contributions @ np.linalg.inv(lamps.split).T.astype(np.float32)
     found = LinearFrame(rgb=out, clipped=frame.clipped, number=frame.number)
@@ -163,12 +163,12 @@ def _blocks_of(
     counts = sums_of_blocks(own, factor)
     mean = sums_of_blocks(np.where(own[..., None], rgb, np.float32(0.0)), factor)
     mean /= np.maximum(counts, 1.0)[..., None]
-    light = (mean @ lamps.split.T) / np.asarray(rho)[of] - lamps.haze
+    light = (mean @ lamps.split.T) / np.asarray(rho)[of] - lamps.ambient
     inside = mask[np.ix_(*middle)] & np.any(lines, axis=1)[of] & (2.0 * counts > factor**2)
     lit = inside & (light.min(axis=2) > _LEAST_SHARE * np.maximum(light.max(axis=2), 0.0))
-    told = np.where(np.asarray(lit)[..., None], light, 0.0).astype(np.float32)
+    observed = np.where(np.asarray(lit)[..., None], light, 0.0).astype(np.float32)
     known = np.where(inside, of, _NO_LABEL).astype(np.uint8)
-    return _Blocks(told, known, factor, box[1].start, box[0].start)
+    return _Blocks(observed, known, factor, box[1].start, box[0].start)
 
 
 def _pixels_of(blocks: npt.NDArray[Any], factor: int, shape: tuple[int, ...]) -> npt.NDArray[Any]:
@@ -177,8 +177,8 @@ def _pixels_of(blocks: npt.NDArray[Any], factor: int, shape: tuple[int, ...]) ->
 
 
 def _surface_of(
-    blocks: _Blocks, lamps: Lamps, lines: Points, of_pixels: RayGrid, start: Surface | None
-) -> Surface:
+    blocks: _Blocks, lamps: Lamps, lines: Points, of_pixels: RayGrid, start: PaintSurface | None
+) -> PaintSurface:
     """The surface whose paint is least. start: from where the search goes on; None for coarse to fine."""
     prices = np.array([_price(line) for line in lines], np.float32)
     pyramid, scale, steps = [blocks], np.float32(_STEP_SCALE), 1
@@ -188,7 +188,7 @@ def _surface_of(
             pyramid.append(pyramid[-1].halved())
         half = tuple(-(-n // 2) for n in pyramid[-1].labels.shape)
         flat = np.zeros((3, *half), np.float32)
-        start = Surface(flat[0], flat[1:], np.zeros(half, np.bool_), 2 * pyramid[-1].factor)
+        start = PaintSurface(flat[0], flat[1:], np.zeros(half, np.bool_), 2 * pyramid[-1].factor)
         scale = np.float32(NO_STEP)  # the first depth must hold together before it may show steps
     for level in reversed(pyramid):
         inside, rays = level.labels != _NO_LABEL, level.rays(of_pixels)
@@ -206,7 +206,7 @@ def _surface_of(
             depth = solve_grid(grid_hierarchy(edges), right, depth, _TOLERANCE, _CYCLES)
             slopes_kernel(depth, weights, np.float32(STEEPEST), slopes, agreement)
             scale, seen = np.float32(_STEP_SCALE), lit
-        start = Surface(depth, slopes, inside, level.factor)
+        start = PaintSurface(depth, slopes, inside, level.factor)
     return start
 
 
@@ -221,7 +221,7 @@ def _begun(
     lamps: Lamps,
     rays: tuple[Float32Array, Float32Array],
     prices: Float32Array,
-    before: Surface,
+    before: PaintSurface,
 ) -> tuple[Float32Array, Float32Array]:
     """Return depth (h, w) and slopes (2, h, w) of a surface before, sloping inside its blocks.
 
@@ -329,14 +329,14 @@ def _gains(
     cosines = (normals[lit] * own).sum(axis=1) / np.linalg.norm(own, axis=1)
     turns[lit] = np.degrees(np.arccos(cosines.clip(-1.0, 1.0)))
     for m in np.unique(blocks.labels[blocks.labels != _NO_LABEL]):
-        told = lit & (blocks.labels == m)
-        count = _beside(told.astype(np.float64))
+        observed = lit & (blocks.labels == m)
+        count = _beside(observed.astype(np.float64))
         missing = (blocks.labels == m) & ~lit & (count > 0)
-        gains[missing] = _beside(gains * told[..., None])[missing] / count[missing, None]
+        gains[missing] = _beside(gains * observed[..., None])[missing] / count[missing, None]
     return gains, turns
 
 
-def _doubt(turns: FloatArray) -> FloatArray:
+def _rms_around(turns: FloatArray) -> FloatArray:
     """(h, w), the root mean square of turns around each block, or its own where that is more."""
     mean = uniform_filter(turns**2, 2 * _AROUND + 1, mode="constant")
     return np.maximum(turns, np.sqrt(np.maximum(mean, 0.0)))
@@ -347,13 +347,13 @@ def _between(gains: FloatArray, blocks: _Blocks, labels: MaterialLabels, mask: M
     out = np.ones((*mask.shape, 3), np.float32)
     for m in np.unique(blocks.labels[blocks.labels != _NO_LABEL]):
         own = (blocks.labels == m).astype(np.float32)[..., None]
-        told = np.concatenate([own * gains, own], axis=2, dtype=np.float32)
+        observed = np.concatenate([own * gains, own], axis=2, dtype=np.float32)
         for axis, size in enumerate(mask.shape):
-            share, first, second = _middles(size, blocks.factor, told.shape[axis])
+            share, first, second = _middles(size, blocks.factor, observed.shape[axis])
             share = share.reshape(-1, 1, 1) if axis == 0 else share.reshape(1, -1, 1)
-            told = told.take(first, axis) * (1.0 - share) + told.take(second, axis) * share
-        inside = mask & (labels == m) & (told[..., 3] > _TINY)
-        out[inside] = told[inside, :3] / told[inside, 3:]
+            observed = observed.take(first, axis) * (1.0 - share) + observed.take(second, axis) * share
+        inside = mask & (labels == m) & (observed[..., 3] > _TINY)
+        out[inside] = observed[inside, :3] / observed[inside, 3:]
     return out
 
 

@@ -42,7 +42,7 @@ def in_one_paint(frame: LinearFrame, mask: Mask, response: LightResponse) -> Lin
     plain = regions.plain & (regions.labels >= 0)
     if not regions.count or not plain.any():
         return replace(frame, clipped=np.ones(mask.shape, np.bool_))
-    levels = Seams(regions).levels()
+    levels = SeamSteps(regions).levels()
     levels -= regions.sizes @ levels / regions.sizes.sum()
     alike = split.contributions * np.exp(-levels)[regions.labels] * plain[..., None]
     weight = _blurred(plain.astype(np.float32))
@@ -56,7 +56,7 @@ def _blurred(image: FloatArray) -> FloatArray:
     return np.asarray(gaussian_filter(image, _FILLING_PX, axes=(0, 1)))
 
 
-class Seams:
+class SeamSteps:
     """The steps between regions, as equations in log ρ of each."""
 
     def __init__(self, regions: Regions) -> None:

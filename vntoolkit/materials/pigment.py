@@ -54,7 +54,7 @@ def pigment_of(
         return None if of_others is None else (of_others, _of_least_pigment(log, pixels, lamps, of_others))
     beside = np.zeros(mask.shape, np.bool_)
     beside[:, 1:] = mask[:, 1:] & mask[:, :-1]
-    known = lamps.inverse * np.exp(-log), lamps.inverse @ lamps.haze
+    known = lamps.inverse * np.exp(-log), lamps.inverse @ lamps.ambient
     squared = 1.0 + float(bias_of_noise(np.exp(-log), lamps.inverse, lamps.mixing / factor))
 
     def roughness(ends: Any) -> float:
@@ -100,7 +100,7 @@ def _of_least_pigment(log: Vector3, s: Points, lamps: Lamps, direction: Vector3)
     found = log.copy()
     for _ in range(_FIT_ROUNDS):
         shares = s * np.exp(-found)
-        normals = (shares - lamps.haze) @ lamps.inverse.T
+        normals = (shares - lamps.ambient) @ lamps.inverse.T
         lengths = np.maximum(np.linalg.norm(normals, axis=1), 1e-6)
         slopes = -(normals / lengths[:, None] @ lamps.inverse) * shares
         error, variance = lengths - 1.0, _SPREAD**2 + (slopes @ direction * _PIGMENT_SPREAD) ** 2

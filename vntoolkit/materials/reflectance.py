@@ -19,6 +19,7 @@ import numpy as np
 from vntoolkit.arrays import FloatArray, Matrix3, Points, Vector3
 from vntoolkit.errors import BadInput
 from vntoolkit.photometry.response import LightResponse
+from vntoolkit.spread import robust_deviation
 
 CAP = 3.0  # standard deviations at which a residual stops to count more
 # Spread of log ρ before anything is seen: paints return 0.1 to 1 of the light.
@@ -33,17 +34,18 @@ _STARTS = np.vstack([np.zeros(3), 0.7 * np.eye(3), -0.7 * np.eye(3)])
 class Lamps(NamedTuple):
     """What a response tells of each lamp.
 
-    split: (3, 3), colour to contributions of the lamps. haze: (3,), those of the ambient light. inverse:
+    split: (3, 3), colour to contributions of the lamps. ambient: (3,), those of the ambient light. inverse:
     (3, 3), L⁻¹. noise: (3,), standard deviation of each contribution. mixing: (3, 3), split times the
-    standard deviation of the channels. doubts: (3,), standard deviations of the lamps' directions, radians.
+    standard deviation of the channels. deviations: (3,), standard deviations of the lamps' directions,
+    radians.
     """
 
     split: Matrix3
-    haze: Vector3
+    ambient: Vector3
     inverse: Matrix3
     noise: Vector3
     mixing: Matrix3
-    doubts: Vector3
+    deviations: Vector3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -75,14 +77,14 @@ def lamps_from_response(response: LightResponse, noise: Vector3) -> Lamps:
         )
     split = response.contributions_from_rgb
     mixing = split * noise
-    doubts = np.zeros(3) if response.light_doubts_deg is None else np.radians(response.light_doubts_deg)
+    deviations = np.zeros(3) if response.light_doubts_deg is None else np.radians(response.light_doubts_deg)
     return Lamps(
         split=split,
-        haze=split @ response.ambient,
+        ambient=split @ response.ambient,
         inverse=np.linalg.inv(response.lights),
         noise=np.linalg.norm(mixing, axis=1),
         mixing=mixing,
-        doubts=doubts,
+        deviations=deviations,
     )
 
 
@@ -91,10 +93,10 @@ def reflectance_from_fit(
 ) -> Reflectance:
     """Return the reflectance of log values (3,) and their covariance (3, 3), judged on pixels (n, 3)."""
     values = np.exp(log)
-    normals = (contributions / values - lamps.haze) @ lamps.inverse.T
+    normals = (contributions / values - lamps.ambient) @ lamps.inverse.T
     lengths = np.maximum(np.linalg.norm(normals, axis=1), 1e-9)
     normals, shares = normals / lengths[:, None], contributions / values
-    residual = 1.4826 * float(np.median(np.abs(lengths - 1.0)))
+    residual = robust_deviation(lengths - 1.0)
     return Reflectance(
         values=values,
         covariance=covariance,
@@ -154,13 +156,13 @@ def _error_of_lamps_deg(
     element k, j of the bracket is E_kj (ρ_j/ρ_k − 1): 0 for the rig's own material. Then ρ is fitted, so that
     lengths are 1 again, which turns normals once more.
     """
-    if not lamps.doubts.any():
+    if not lamps.deviations.any():
         return 0.0
     others = values / values[:, None] - 1.0  # k, j
     turns = []
     for k, lamp in enumerate(np.linalg.inv(lamps.inverse)):
         strength = float(np.linalg.norm(lamp))
-        across = np.linalg.svd(lamp[None])[2][1:] * lamps.doubts[k] * strength  # where it may move to
+        across = np.linalg.svd(lamp[None])[2][1:] * lamps.deviations[k] * strength  # where it may move to
         of_k = shares @ (others[k][:, None] * (lamps.inverse.T @ across.T))
         turns.append(lamps.inverse[:, k][None, :, None] * of_k[:, None, :])
     turned = np.concatenate(turns, axis=2)  # (n, 3 of normal, 6 of the lamps)
@@ -197,7 +199,7 @@ def lengths_of_normals(
 
     s: (…, 3), contributions. q: (3,) or (…, 3), 1 / ρ.
     """
-    normals = (s * q - lamps.haze) @ lamps.inverse.T
+    normals = (s * q - lamps.ambient) @ lamps.inverse.T
     lengths = np.sqrt((normals**2).sum(axis=-1)) + 1e-12
     along = (normals @ lamps.inverse) * (q / lengths[..., None])
     variance = ((along @ lamps.mixing) ** 2).sum(axis=-1)

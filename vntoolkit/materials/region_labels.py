@@ -18,6 +18,7 @@ from vntoolkit.materials.reflectance import CAP
 from vntoolkit.materials.region_lengths import Lengths
 from vntoolkit.materials.regions import SHADING_STEP, Regions
 from vntoolkit.native import njit
+from vntoolkit.spread import robust_deviation
 
 _STRANGERS = 0.1  # share of regions that are of no material: folds that light each other, eyes, buttons
 _LEAST_SPREAD = 0.005  # of lengths: reflectances are known no better
@@ -41,7 +42,7 @@ def spread_of(lengths: Lengths, labels: IntArray) -> Spread:
     if not len(labels):
         return Spread(_LEAST_SPREAD, _LEAST_SPREAD)
     error, scatter, noise = (np.take_along_axis(a, labels[:, None], 1)[:, 0] for a in lengths[:3])
-    between = (1.4826 * np.median(np.abs(error))) ** 2 - np.median(noise / lengths.counts[:, 0])
+    between = robust_deviation(error) ** 2 - np.median(noise / lengths.counts[:, 0])
     within = np.median(scatter - noise)
     least = _LEAST_SPREAD**2
     return Spread(float(np.sqrt(max(between, least))), float(np.sqrt(max(within, least))))

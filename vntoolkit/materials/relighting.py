@@ -50,7 +50,7 @@ def relit(
     for m, line in enumerate(() if pigments is None else np.asarray(pigments, np.float64)):
         chosen = pigmented & (labels == m)
         if line.any() and chosen.any():
-            of_normals = lamps.inverse / values[m], lamps.inverse @ lamps.haze
+            of_normals = lamps.inverse / values[m], lamps.inverse @ lamps.ambient
             light[chosen] = without_pigment(s[chosen].astype(np.float64), *of_normals, line) / values[m]
     rgb = np.zeros(frame.rgb.shape, np.float32)
     rgb[box] = light @ np.linalg.inv(lamps.split).T.astype(np.float32)

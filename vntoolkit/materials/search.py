@@ -23,7 +23,7 @@ from scipy.sparse.csgraph import connected_components
 from vntoolkit.arrays import FloatArray, IntArray, Mask, Points
 from vntoolkit.errors import BadInput
 from vntoolkit.materials.mixtures import INDEPENDENT_PX, Spread
-from vntoolkit.materials.paint_levels import FALL, PAINT_STEP, Seams
+from vntoolkit.materials.paint_levels import FALL, PAINT_STEP, SeamSteps
 from vntoolkit.materials.reflectance import CAP, Lamps, Reflectance, best_fit, reflectance_from_fit
 from vntoolkit.materials.region_labels import agreed, prices_of_regions, spread_of, total_cost
 from vntoolkit.materials.region_lengths import (
@@ -40,6 +40,7 @@ from vntoolkit.materials.split_frame import SplitFrame, split_frame, stacked
 from vntoolkit.options.reconstruction import MOST_MATERIALS
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
+from vntoolkit.spread import robust_deviation
 
 _SEARCHED_PIXELS = 40_000  # of the subject
 _LEAST_INSIDE = 1 / 3  # of the blocks, that lie inside patches, as of squares that hold a region each
@@ -123,10 +124,10 @@ def find_materials(searched: SearchedFrames, count: int | None = None) -> list[M
     own, tolerance = _reflectances_of_regions(regions, lamps)
     found = _fewest(_proposals(own, regions, count), regions, lamps, tolerance, count)
     fixed = regions, lamps, tolerance, 1, found.spread
-    found = _settled(found.logs, found.labels, *fixed)
+    found = _converged(found.logs, found.labels, *fixed)
     if count is None:
         one, of_rig = np.zeros(regions.count, np.int64), np.ones(1, np.bool_)
-        rigs_own = _settled(np.zeros((1, 3)), one, *fixed, of_rig)
+        rigs_own = _converged(np.zeros((1, 3)), one, *fixed, of_rig)
         if rigs_own.length <= found.length:
             return _fitted_each(rigs_own, of_rig, searched, tolerance)
     found, of_rig = _in_rigs_hue(found, regions, lamps, tolerance)
@@ -138,8 +139,8 @@ def fitted_again(searched: SearchedFrames, known: Points) -> list[Material]:
     """Fit materials of reflectances (m, 3) that were found before again, in even light, in their order."""
     regions, lamps = searched.regions, searched.split.lamps
     _, tolerance = _reflectances_of_regions(regions, lamps)
-    found = _settled(np.log(known), None, regions, lamps, tolerance, _FIRST_ROUNDS, None)
-    found = _settled(found.logs, found.labels, regions, lamps, tolerance, 1, found.spread)
+    found = _converged(np.log(known), None, regions, lamps, tolerance, _FIRST_ROUNDS, None)
+    found = _converged(found.logs, found.labels, regions, lamps, tolerance, 1, found.spread)
     found, of_rig = _in_rigs_hue(found, regions, lamps, tolerance)
     return _fitted_each(found, of_rig, searched, tolerance)
 
@@ -179,7 +180,7 @@ def _reflectances_of_regions(regions: Regions, lamps: Lamps) -> tuple[Points, fl
     The seams alone tell log ρ up to one constant. With it taken off, all samples are of one material, whose
     reflectance is that constant. Then lengths and steps are balanced by Gauss–Newton, from rough to fine.
     """
-    seams = Seams(regions)
+    seams = SeamSteps(regions)
     x = seams.levels()
     weights = regions.sizes / INDEPENDENT_PX
     known = np.arange(regions.samples.shape[1]) < regions.counts[:, None]
@@ -191,8 +192,8 @@ def _reflectances_of_regions(regions: Regions, lamps: Lamps) -> tuple[Points, fl
         rough = max(_FIRST_TOLERANCE, _ROUGH * FALL**done)
         matrices, gradients = normal_equations(regions, x, lamps, weights, rough)
         x = seams.balanced(x, centre, max(1.0, CAP * FALL**done), matrices, gradients)
-    lengths = (regions.samples * np.exp(-x)[:, None] - lamps.haze)[known] @ lamps.inverse.T
-    residual = 1.4826 * float(np.median(np.abs(np.linalg.norm(lengths, axis=1) - 1.0)))
+    lengths = (regions.samples * np.exp(-x)[:, None] - lamps.ambient)[known] @ lamps.inverse.T
+    residual = robust_deviation(np.linalg.norm(lengths, axis=1) - 1.0)
     return x, float(np.clip(residual, *_TOLERANCES))
 
 
@@ -244,13 +245,13 @@ def _fewest(logs: Points, regions: Regions, lamps: Lamps, tolerance: float, coun
     """
     if count == 1:  # start from the proposal with most votes; all others would be left out again
         logs = logs[:1]
-    found = _settled(logs, None, regions, lamps, tolerance, _FIRST_ROUNDS, None)
+    found = _converged(logs, None, regions, lamps, tolerance, _FIRST_ROUNDS, None)
     found = _thinned(found, regions, lamps, tolerance, count)
     for _ in range(_SPLITS):
         more = _of_unexplained(found, regions, lamps, tolerance)
         if not len(more):
             break
-        again = _settled(np.vstack([found.logs, more]), None, regions, lamps, tolerance, 2, found.spread)
+        again = _converged(np.vstack([found.logs, more]), None, regions, lamps, tolerance, 2, found.spread)
         again = _thinned(again, regions, lamps, tolerance, count, found.length)
         if again.length >= found.length - _LEAST_GAIN:
             break
@@ -271,7 +272,7 @@ def _thinned(
     while True:
         if count is None:
             found = _used(found, regions)
-        allowed = len(found.logs) <= (count or MOST_MATERIALS) and (count or not _has_twins(found))
+        allowed = len(found.logs) <= (count or MOST_MATERIALS) and (count or not _has_duplicates(found))
         if allowed and (best is None or found.length < best.length):
             best = found
         if len(found.logs) <= (count or 1):
@@ -280,7 +281,7 @@ def _thinned(
         if count is None and unexplained >= min(least, np.inf if best is None else best.length):
             break
         fewer = [
-            _settled(logs, labels, regions, lamps, tolerance, 1, found.spread)
+            _converged(logs, labels, regions, lamps, tolerance, 1, found.spread)
             for logs, labels in (_without_one(found, regions), _merged(found))
         ]
         found = min(fewer, key=lambda each: each.length)
@@ -362,7 +363,7 @@ def _in_rigs_hue(
     of_rig = np.zeros(len(found.logs), np.bool_)
     for m in np.ptp(found.logs, axis=1).argsort():
         more = of_rig | (np.arange(len(of_rig)) == m)
-        other = _settled(found.logs, found.labels, regions, lamps, tolerance, 1, found.spread, more)
+        other = _converged(found.logs, found.labels, regions, lamps, tolerance, 1, found.spread, more)
         if other.length < found.length:
             found, of_rig = other, more
     return found, of_rig
@@ -374,7 +375,7 @@ def _free_numbers(of_rig: npt.NDArray[np.bool_]) -> npt.NDArray[np.float64]:
     return np.asarray(block_diag(*blocks))
 
 
-def _has_twins(found: _Found) -> bool:
+def _has_duplicates(found: _Found) -> bool:
     apart = np.abs(found.logs[:, None] - found.logs).max(axis=2) + np.eye(len(found.logs))
     return bool(apart.min() < _TWINS * found.spread.of_regions)
 
@@ -393,7 +394,7 @@ def _without_one(found: _Found, regions: Regions) -> tuple[Points, IntArray]:
     return best[1:]
 
 
-def _settled(
+def _converged(
     logs: Points,
     labels: IntArray | None,
     regions: Regions,
@@ -474,11 +475,11 @@ def _add_steps(
 ) -> None:
     """Add the normal equations of the steps between materials, of log ρ z (m, 3)."""
     i, j = regions.sources, regions.neighbours
-    told = (i < j) & (labels[i] != labels[j]) & (np.maximum(paid[i], paid[j]) <= _DOUBTFUL)
-    m, n = labels[i[told]], labels[j[told]]
-    rest = regions.steps[told] - z[n] + z[m]
+    observable = (i < j) & (labels[i] != labels[j]) & (np.maximum(paid[i], paid[j]) <= _DOUBTFUL)
+    m, n = labels[i[observable]], labels[j[observable]]
+    rest = regions.steps[observable] - z[n] + z[m]
     falling = 1.0 / (1.0 + ((rest / SHADING_STEP) ** 2).sum(axis=1) / CAP**2)
-    weight = np.repeat((regions.contacts[told] * (falling / SHADING_STEP) ** 2)[:, None], 3, axis=1)
+    weight = np.repeat((regions.contacts[observable] * (falling / SHADING_STEP) ** 2)[:, None], 3, axis=1)
     first, second = (3 * each[:, None] + np.arange(3) for each in (m, n))
     for a, b, sign in (
         (first, first, 1.0),

@@ -55,12 +55,11 @@ from vntoolkit.photometry.frame import ALL_LIT, LinearFrame
 from vntoolkit.photometry.levelling import leveller_of, map_row, span_of
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.transfer import Transfer
+from vntoolkit.spread import NINE_OF_TEN_IN_PLANE
 
-# Nine of ten angles of a two-dimensional normal distribution lie within √(2 ln 10) standard deviations.
-NINE_OF_TEN = 2.146
-OF_ANGLE = NINE_OF_TEN / math.sqrt(2.0)  # … and within 1.5 times the root of their mean square
+OF_ANGLE = NINE_OF_TEN_IN_PLANE / math.sqrt(2.0)  # over the root of the angles' mean square
 # Where all nine entries of M⁻¹ΔM have variance 1, the rotation in it has 1/2 about every axis.
-_OF_ROTATION = NINE_OF_TEN / math.sqrt(2.0)
+_OF_ROTATION = NINE_OF_TEN_IN_PLANE / math.sqrt(2.0)
 # The bounds of nine of ten pixels over each measured error, fitted on simulated scenes.
 _OF_ELLIPSOID = 2.5
 _OF_RESIDUAL = 1.1  # of a median
@@ -76,7 +75,7 @@ _LEFT_OUT_PX = 16  # in a row, over which the noise that a surface leaves out is
 _KEPT = np.float32(1 / 8)  # … which is not all of it
 
 # The same, as the loops need it: squared, in degrees.
-_PER_NOISE = np.float32(np.degrees(NINE_OF_TEN) ** 2)
+_PER_NOISE = np.float32(np.degrees(NINE_OF_TEN_IN_PLANE) ** 2)
 _PER_TURN = np.float32(np.degrees(_OF_ELLIPSOID) ** 2)
 _PER_NEARNESS = np.float32(np.degrees(OF_ANGLE) ** 2)
 _PER_DEPARTURE = np.float32(np.degrees(_OF_LENGTH) ** 2)
@@ -410,7 +409,7 @@ def _unlit_row(
             squared += np.float32(4.0) * off * off
         known = squared < np.float32(8.0)  # no NaN
         bound = _PER_DISTANCE * squared + _PER_NOISE * _ALBEDO_SPREAD * _ALBEDO_SPREAD * moved
-        unlit[u] = min(max(bound, SHORTEST), _LARGEST_DEG * _LARGEST_DEG) if known else unknown
+        unlit[u] = min(max(bound, SHORTEST), unknown) if known else unknown
 
 
 @njit(cache=True, parallel=True, error_model="numpy")

@@ -33,6 +33,7 @@ from vntoolkit.normals.lost_detail import LEAST_BLUR_PX, detail_kernel, lost_ove
 from vntoolkit.photometry.frame import ALL_LIT
 from vntoolkit.photometry.levelling import map_row, span_of
 from vntoolkit.photometry.response import LightResponse, changes_of_near_lamps
+from vntoolkit.spread import MEDIAN_TO_DEVIATION, robust_deviation
 from vntoolkit.threads import one_blas_thread
 
 SHORTEST, LONGEST = np.float32(1e-6), np.float32(1e18)  # lengths whose squares float32 holds
@@ -42,7 +43,7 @@ _LOOP_PX = 2  # half a side of the squares: a codec's noise is alike over 4 pixe
 # Standard deviations over a cell's median size. White noise of variance 1 adds up to 4 (1/4 + 3 + 1/4) around
 # a square: the pixels at its corners count half. Of 16 squares that overlap the median, squared, is 1.166
 # times that of many that do not.
-_PER_MEDIAN = np.float32(1.4826 / math.sqrt(14.0 * 1.166))
+_PER_MEDIAN = np.float32(MEDIAN_TO_DEVIATION / math.sqrt(14.0 * 1.166))
 _EDGE_PX = 4  # from the subject's edge, which blur mixes with what lies behind
 _LEAST_LIGHT, _GRID_PIXELS = 0.3, 4000  # of the length that a fiftieth exceeds, over a grid of pixels
 _SAMPLES, _NEAR_PIXELS = 1000, 9
@@ -201,7 +202,7 @@ def fit_ellipsoid(
         information = weighted @ design.T + np.diag(_PRIOR)
         best = np.linalg.solve(information, weighted @ logs)
         left = np.abs(logs - best @ design)
-        spread = 1.48 * np.median(left) + 1e-3
+        spread = robust_deviation(left) + 1e-3
         worth = 1.0 / (1.0 + (left / (2 * spread)) ** 2)
     best = _rounded(best)  # sums in another order differ in the last bits
     e00, e11, e01, e02, e12 = best[1:6]

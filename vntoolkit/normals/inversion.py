@@ -23,6 +23,7 @@ from vntoolkit.photometry.response import LightResponse, scaled_normals_from_rgb
 from vntoolkit.photometry.transfer import Transfer, decoding_table
 
 _LONGEST = np.float32(1e18)  # squares beyond it overflow float32: treated as not finite
+_ALBEDO_TOLERANCE = 0.25  # relative departure from the expected albedo that halves a pixel's weight
 _ZERO = np.float32(0)
 _ONE = np.float32(1)
 
@@ -40,7 +41,7 @@ def normals_from_frame(
     frame: linear colour (h, w, 3). mask: (h, w), pixels of interest; default all. camera: tells from where a
     pixel is seen, so that no normal faces away from there; None for orthographic. Invalid in the result:
     outside the mask, black, turned away from the camera, or clipped where so chosen. The
-    weight is 1 where the albedo is as expected and 1/2 where it is off by `albedo_tolerance`.
+    weight is 1 where the albedo is as expected and 1/2 where it is off by a quarter.
     """
     if response.is_of_changes:
         raise BadInput(
@@ -136,7 +137,7 @@ def coefficients_from_response(response: LightResponse, options: InversionOption
         inverse=inverse.astype(np.float32),
         offset=(inverse @ response.ambient).astype(np.float32),
         darkest=np.float32(options.darkest),
-        sharpness=np.float32(0.5 / options.albedo_tolerance),
+        sharpness=np.float32(0.5 / _ALBEDO_TOLERANCE),
         clipped_factor=np.float32(options.clipped_factor),
     )
 

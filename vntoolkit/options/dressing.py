@@ -29,23 +29,6 @@ class Garment(Enum):
 GarmentName: TypeAlias = Literal["auto", "sweater", "sleeveless", "trousers", "skirt", "overall"]
 
 
-class DepthPlacement(Enum):
-    """Where the bones lie in depth: in the CENTRE of the garment, at its REAR (it was seen from the front
-    only), or AUTO: at the rear of an open sheet, in the centre of a closed garment.
-    """
-
-    AUTO = "auto"
-    CENTRE = "centre"
-    REAR = "rear"
-
-
-class ArmPose(Enum):
-    """How the arms are held when the garment is attached: aimed at its SLEEVES, or as in the file's REST."""
-
-    SLEEVES = "sleeves"
-    REST = "rest"
-
-
 @dataclass(frozen=True, kw_only=True)
 class GarmentFitOptions(Options):
     """How the garment is brought onto the figure."""
@@ -57,11 +40,6 @@ class GarmentFitOptions(Options):
     fullness: float | None = None
     """Height of the garment over the height of what it covers, hips to neck or hips to feet. Default: 1.3;
     trousers 1.05, a skirt 0.65."""
-    depth: Named[DepthPlacement, Literal["auto", "centre", "rear"]] = named(DepthPlacement.AUTO)
-    """Where the bones lie in the garment's depth."""
-    arms: Named[ArmPose, Literal["sleeves", "rest"]] = named(ArmPose.SLEEVES)
-    """Pose of the arms when the garment is attached. A fit file that gives a pose or landmarks overrides it.
-    """
 
     def _require_valid(self) -> None:
         if self.fullness is not None and not 0 < self.fullness < np.inf:

@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Literal, TypeAlias
 
-from vntoolkit.errors import BadInput
 from vntoolkit.options.base import Named, Options, named
 
 
@@ -32,10 +31,3 @@ class AlignmentOptions(Options):
 
     align: Named[Alignment, Literal["none", "rigid", "similarity"]] = named(Alignment.NONE)
     """What may move: nothing, position and orientation (rigid), or the scale too (similarity)."""
-    samples: int = 20000
-    """Vertices that are paired."""
-
-    def _require_valid(self) -> None:
-        """Refuse what leaves nothing to align by."""
-        if self.samples < 3:
-            raise BadInput(f"alignment: expected at least 3 samples, got {self.samples}")

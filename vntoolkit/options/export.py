@@ -1,12 +1,14 @@
 """Formats, axes and units of exported files."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 from typing import Literal, TypeAlias
 
 from vntoolkit.errors import BadInput
-from vntoolkit.options.base import Named, Options, named
+from vntoolkit.options.base import File, Named, OptionalFile, Options, named
+from vntoolkit.options.footage import ReadingLimits
+from vntoolkit.options.shared import FrameOptions, MovedFootageOptions
 
 
 class NormalConvention(Enum):
@@ -130,7 +132,7 @@ _OF_MESHES = (ExportFormat.PLY, ExportFormat.OBJ, ExportFormat.STL, ExportFormat
 
 
 @dataclass(frozen=True, kw_only=True)
-class ExportOptions(Options):
+class ExportOptions(CleanOptions):
     """Options of an export."""
 
     to: ExportFormat
@@ -162,8 +164,15 @@ class ExportOptions(Options):
     """For inspection: wavelengths below this are removed, so that noise goes (the S filter)."""
     line: tuple[float, float, float, float] | None = None
     """For --to profile: column and row of the first pixel, then of the last."""
-    cleaning: CleanOptions | None = None
-    """What is cleaned of the frames' meshes; None for nothing."""
+    clean: bool = False
+    """Remove small pieces of the meshes and close small holes (pymeshlab). --most-faces and the like imply
+    it."""
+
+    @property
+    def cleaning(self) -> CleanOptions | None:
+        """What is cleaned of the frames' meshes; None for nothing."""
+        asked = self.part(CleanOptions)
+        return asked if self.clean or asked != CleanOptions() else None
 
     def _require_valid(self) -> None:
         if self.scale is not None and not self.scale > 0:
@@ -199,3 +208,18 @@ class ExportOptions(Options):
             raise BadInput("curvature: a form is not removed from it; leave out --longest")
         if (self.to is ExportFormat.PROFILE) != (self.line is not None):
             raise BadInput("--line COLUMN ROW COLUMN ROW and --to profile belong together")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExportArguments(FrameOptions, MovedFootageOptions, ExportOptions, ReadingLimits):
+    """What `export` takes."""
+
+    folder: File = field(kw_only=False)
+    """The folder that `vntoolkit reconstruct` wrote."""
+    to: ExportFormat | ExportFormatName  # type: ignore[assignment]
+    out: OptionalFile = named(None)
+    """The file (usd, glb) or folder to write; default FOLDER/export/…."""
+    background: OptionalFile = named(None)
+    """The background image that the reconstruction subtracted."""
+    overwrite: bool = False
+    """Replace an export with other options in the folder."""

@@ -23,8 +23,6 @@ class InversionOptions(Options):
     relative_albedo: float = 1.0
     """Expected length of M⁻¹(r − a), the surface's albedo over the calibration material's (1 if it is the
     same material; `relative_albedo_from_frame` measures it)."""
-    albedo_tolerance: float = 0.25
-    """Relative departure from the expected albedo that halves a pixel's weight."""
     darkest: float = 0.05
     """Share of the expected albedo below which a pixel is black and has no normal."""
     clipped: Named[ClippedPixels, Literal["downweight", "exclude"]] = named(ClippedPixels.DOWNWEIGHT)
@@ -32,7 +30,6 @@ class InversionOptions(Options):
 
     def _require_valid(self) -> None:
         require_positive(self.relative_albedo, "relative albedo")
-        require_positive(self.albedo_tolerance, "albedo tolerance")
         if not 0 < self.darkest < 1:
             raise BadInput(f"darkest: expected a share between 0 and 1, got {self.darkest:g}")
 

@@ -34,13 +34,6 @@ class MaterialSearch(Enum):
     CALIBRATED = "calibrated"  # one: what the rig was calibrated on
 
 
-class DepthOffset(Enum):
-    """How the constant that normals leave free is fixed, frame by frame."""
-
-    REFERENCE = "reference"  # so that depth rests where the subject does: tied to the first frame
-    MEAN = "mean"  # mean depth 0 (perspective: 1) over every connected part
-
-
 @dataclass(frozen=True, kw_only=True)
 class ReconstructOptions(Options):
     """Options of `reconstruct`, with those of its stages.
@@ -60,12 +53,9 @@ class ReconstructOptions(Options):
     shadows: Named[ShadowMethod, ShadowMethodName] = named(ShadowMethod.ROBUST)
     """Method that finds where the subject shadows itself: robust, published (the paper's detector) or none.
     The surface in shadow is then recovered, and visibility labels are written."""
-    depth_offset: Named[DepthOffset, Literal["reference", "mean"]] = named(DepthOffset.REFERENCE)
-    """How the free constant of the depth is fixed. reference ties every frame to one, so that depth rests
-    where the subject does. mean gives every connected part a mean depth of 0 (perspective: 1)."""
     reference_frame: int | None = None
-    """Depth is tied to this frame. Noise and the blur of materials' seams are measured in it. Default: the
-    first of all frames that were asked for."""
+    """The constant that normals leave free in depth is tied to this frame. Noise and the blur of materials'
+    seams are measured in it. Default: the first of all frames that were asked for."""
     smoothing: float = 0.0
     """Average a pixel with the frames before and after where its colour differs by less than this share of
     full scale. 0 is off; about 3 times the noise is useful."""
@@ -74,11 +64,6 @@ class ReconstructOptions(Options):
     inversion: InversionOptions = field(default_factory=InversionOptions)
     integration: IntegrationOptions = field(default_factory=IntegrationOptions)
     meshing: MeshOptions = field(default_factory=MeshOptions)
-
-    @property
-    def ties_depth(self) -> bool:
-        """True if depth is computed and its free constant is fixed by a reference frame."""
-        return self.depth_offset is DepthOffset.REFERENCE and self.to is not Product.NORMALS
 
     def _require_valid(self) -> None:
         if self.distance_m is not None and not self.distance_m > 0:

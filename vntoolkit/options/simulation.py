@@ -164,23 +164,13 @@ def nuisance_names() -> tuple[str, ...]:
     return tuple(_SWITCHES)
 
 
-_LEAST_WIDTH, _LEAST_HEIGHT = 640, 480  # on smaller images the board's corners are too coarse for a camera
-
-
 @dataclass(frozen=True, kw_only=True)
 class DemoOptions(Options):
     """How large the demonstration is."""
 
     frames: int = 12
     """Frames of the garment that are filmed and reconstructed."""
-    width: int = 640
-    """Width of the images, pixels, at least 640."""
-    height: int = 480
-    """Height of the images, pixels, at least 480."""
 
     def _require_valid(self) -> None:
         if not 1 <= self.frames <= 1000:
             raise BadInput(f"demo: expected 1 to 1000 frames, got {self.frames}")
-        if self.width < _LEAST_WIDTH or self.height < _LEAST_HEIGHT:
-            least = f"{_LEAST_WIDTH}×{_LEAST_HEIGHT}"
-            raise BadInput(f"demo: expected images of at least {least}, got {self.width}×{self.height}")

@@ -5,16 +5,12 @@ from enum import Enum
 from pathlib import Path
 from typing import Literal, TypeAlias
 
-from vntoolkit.checks import require_in_range, require_positive
-from vntoolkit.errors import BadInput
+from vntoolkit.checks import require_positive
 from vntoolkit.options.base import File, Named, OptionalFile, Options, named
 from vntoolkit.options.footage import ReadingLimits
 from vntoolkit.options.shared import MovedFootageOptions
 
 LOST_PX = 4.0  # expected error of a vertex above which it is called lost
-_PAPERS_LENGTH = 38.7  # edges: sqrt(1.5 / β) for the paper's β = 1e-3 on edges of length 1
-
-_PAPERS_SHARE = 0.9
 
 
 class Tracker(Enum):
@@ -42,22 +38,6 @@ class TrackingOptions(Options):
 
     method: Named[Tracker, TrackerName] = named(Tracker.DEFAULT)
     """The tracking method: the default, or a published one for comparison."""
-    smoothing_length: float = _PAPERS_LENGTH
-    """Smoothing of the Laplacian methods, in edge lengths: they keep waves longer than about five times this.
-    β = 1.5 / length²; the default is the paper's β = 1e-3."""
-    data_share: float = _PAPERS_SHARE
-    """Share of the data term in the translation method (α), 0 to 1. Default: the paper's."""
-
-    def _require_valid(self) -> None:
-        require_in_range(self.data_share, 1e-3, 1.0, "data share α")
-        require_in_range(self.smoothing_length, 0.0, 1e3, "smoothing length in edges")
-        name = self.method.value
-        if self.smoothing_length != _PAPERS_LENGTH and not name.startswith("laplacian"):
-            raise BadInput(
-                f"smoothing length: method `{name}` has none; choose a `laplacian` method, or omit it"
-            )
-        if self.data_share != _PAPERS_SHARE and self.method is not Tracker.TRANSLATION:
-            raise BadInput(f"data share α: method `{name}` has none; choose `translation`, or omit it")
 
 
 @dataclass(frozen=True, kw_only=True)

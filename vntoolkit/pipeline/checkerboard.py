@@ -1,7 +1,6 @@
 """The checkerboard video of a tracked folder, and a sheet of frames from it."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -17,17 +16,11 @@ from vntoolkit.tracking.checkerboard import checkerboard_frame
 _SHEET_COLUMNS, _SHEET_ROWS = 4, 2
 
 
-@dataclass(frozen=True, kw_only=True)
-class CheckerboardFiles:
-    """What was written. moments: the pictures (h, w, 3) on the sheet, by their places in the sequence."""
+def write_checkerboard(folder: Path, track_folder: Path | None = None) -> Mapping[int, ByteArray]:
+    """Write checkerboard.mkv (lossless) and checkerboard.png (eight frames) into the track folder.
 
-    video: Path
-    sheet: Path
-    moments: Mapping[int, ByteArray]
-
-
-def write_checkerboard(folder: Path, track_folder: Path | None = None) -> CheckerboardFiles:
-    """Write checkerboard.mkv (lossless) and checkerboard.png (eight frames) into the track folder."""
+    Return the pictures (h, w, 3) on the sheet, by their places in the sequence.
+    """
     from vntoolkit.io.footage.video import write_video
 
     target = track_folder or folder / "track"
@@ -41,10 +34,9 @@ def write_checkerboard(folder: Path, track_folder: Path | None = None) -> Checke
                 moments[row] = frame
             yield frame
 
-    video, sheet = target / "checkerboard.mkv", target / "checkerboard.png"
-    write_video(video, frames(), tracks.sequence.frame_rate_hz)
-    write_png(sheet, _sheet(list(moments.values())))
-    return CheckerboardFiles(video=video, sheet=sheet, moments=moments)
+    write_video(target / "checkerboard.mkv", frames(), tracks.sequence.frame_rate_hz)
+    write_png(target / "checkerboard.png", _sheet(list(moments.values())))
+    return moments
 
 
 def _frames(result: OpenedResult, tracks: Tracks) -> Iterator[ByteArray]:

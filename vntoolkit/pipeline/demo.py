@@ -38,8 +38,8 @@ def run_demo(
 ) -> ReconstructionSummary:
     """Simulate, calibrate, simulate, reconstruct; go on where an earlier run stopped."""
     options = options or DemoOptions()
-    board = _film(_BOARD, root / BOARD, f"::{_BOARD_STEP}", options, sample="sweater")
-    garment = _film("sweater", root / GARMENT, f":{options.frames}", options)
+    board = _film(_BOARD, root / BOARD, f"::{_BOARD_STEP}", sample="sweater")
+    garment = _film("sweater", root / GARMENT, f":{options.frames}")
     with write_lock(root):
         simulate(board, jobs=jobs, overwrite=overwrite)
         _calibrate(board.folder.video, root / RIG)
@@ -53,15 +53,11 @@ def run_demo(
         return reconstruct(reconstruction, jobs=jobs, overwrite=overwrite)
 
 
-def _film(
-    scene: str, folder: Path, frames: str, options: DemoOptions, sample: str | None = None
-) -> SimulationJob:
+def _film(scene: str, folder: Path, frames: str, sample: str | None = None) -> SimulationJob:
     return SimulationJob(
         scene=scene,
         folder=SimulationFolder(root=folder),
-        options=SceneOptions(
-            width=options.width, height=options.height, field_width_m=_FIELD_WIDTH_M, sample=sample
-        ),
+        options=SceneOptions(field_width_m=_FIELD_WIDTH_M, sample=sample),
         frames=FrameRange.from_text(frames),
     )
 

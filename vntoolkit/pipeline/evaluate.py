@@ -24,7 +24,7 @@ from vntoolkit.evaluation.cylinder import (
 from vntoolkit.evaluation.cylinder_fit import fit_cylinder
 from vntoolkit.evaluation.depth_error import disc_with_hole, peaks, tear
 from vntoolkit.geometry.camera import Camera, CameraModel
-from vntoolkit.geometry.maps import DepthMap, NormalMap
+from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.geometry.mesh import MeshSequence
 from vntoolkit.integration.integrate import DepthIntegrator
 from vntoolkit.io.atomic import write_text
@@ -312,13 +312,8 @@ def read_track_truth(folder: Path) -> tuple[Points, Faces, Camera]:
     return vertices, faces, read_rig(truth / "rig.json").camera
 
 
-def evaluate_tracks(
-    track_folder: Path, truth_folder: Path, every: int = 1, lost_px: float | None = None
-) -> list[track_error.TrackError]:
-    """Evaluate every `every`-th tracked frame and the last. Raises `BadInput` where tracks and truth differ.
-
-    lost_px: expected error above which a vertex counts as lost; None for the one that `track` used.
-    """
+def evaluate_tracks(track_folder: Path, truth_folder: Path, every: int = 1) -> list[track_error.TrackError]:
+    """Evaluate every `every`-th tracked frame and the last. Raises `BadInput` where the two differ."""
     (truth, faces, camera), tracks = read_track_truth(truth_folder), read_tracks(track_folder)
     sequence, numbers = tracks.sequence, tracks.numbers
     if not numbers or max(numbers) >= len(truth):
@@ -327,7 +322,6 @@ def evaluate_tracks(
         )
     if tracks.template_vertices is None:
         raise BadInput(f"{track_folder}: the template frame {tracks.template} is not tracked yet")
-    lost_px = tracks.lost_px if lost_px is None else lost_px
     believed = tracks.camera
     template = believed.project(tracks.template_vertices)
     anchors = track_error.anchors_on_mesh(template, np.array(truth[tracks.template]), faces, camera)
@@ -336,7 +330,7 @@ def evaluate_tracks(
         track_error.track_errors(
             (_pixels(sequence, row, numbers[row], believed) for row in rows),
             ((numbers[row], np.array(truth[numbers[row]])) for row in rows),
-            anchors, faces, camera, lost_px,
+            anchors, faces, camera, tracks.lost_px,
         )
     )  # fmt: skip
 
@@ -365,39 +359,11 @@ class SurfaceError:
     """
 
     surface: str
+    is_torn: bool
     integrator: str
     numbers: dict[str, float]
     distances_percent: FloatArray
     mask: Mask
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class SurfaceCase:
-    """A surface to integrate: its name, true depth, normals and mask, and the integrator."""
-
-    surface: str
-    is_torn: bool
-    depth: FloatArray
-    normal_map: NormalMap
-    integrator: Integrator
-
-    def measure(self) -> SurfaceError:
-        """Integrate and compare."""
-        height, width = self.depth.shape
-        camera = Camera.orthographic(width=width, height=height)
-        found = DepthIntegrator(camera, IntegrationOptions(integrator=self.integrator)).integrate(
-            self.normal_map
-        )
-        difference = found.depth.astype(np.float64) - self.depth
-        range_percent = float(np.ptp(self.depth[found.mask])) / 100.0
-        centred = np.abs(difference - np.median(difference[found.mask])) / range_percent
-        return SurfaceError(
-            surface=self.surface,
-            integrator=self.integrator.value,
-            numbers=depth_error_percent(found, self.depth),
-            distances_percent=np.where(found.mask, centred, 0.0),
-            mask=found.mask,
-        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -414,41 +380,43 @@ class ObjectError:
 # Depth errors of every integrator, on analytic surfaces and on real scanned objects.
 
 
-def surface_cases(size: int) -> list[SurfaceCase]:
-    """Smooth hills, whole and on a disc with a hole, and a torn surface, each by what can integrate it."""
+def surface_errors(size: int) -> Iterator[SurfaceError]:
+    """Integrate smooth hills, whole and on a disc with a hole, and a torn surface, each by what can."""
     if size < 16:
         raise BadInput(f"evaluate integration: expected surfaces of at least 16 pixels, got {size}")
     hills, torn = peaks(size), tear(size, TEAR_STEEPNESS)
     full: Mask = np.ones((size, size), dtype=np.bool_)
     masked = (Integrator.POISSON, Integrator.DISCONTINUITY)
     plans = [
-        (f"hills {size}", False, hills, full, tuple(Integrator)),
-        (f"hills on a disc with a hole {size}", False, hills, disc_with_hole(size), masked),
-        (f"torn {size}", True, torn, full, tuple(Integrator)),
+        (f"hills {size}", hills, full, tuple(Integrator)),
+        (f"hills on a disc with a hole {size}", hills, disc_with_hole(size), masked),
+        (f"torn {size}", torn, full, tuple(Integrator)),
     ]
-    return [
-        SurfaceCase(
-            surface=name,
-            is_torn=is_torn,
-            depth=depth,
-            normal_map=NormalMap(normals_in_camera=normals, mask=mask),
-            integrator=integrator,
-        )
-        for name, is_torn, (depth, normals), mask, integrators in plans
-        for integrator in integrators
-    ]
-
-
-def depth_error_percent(found: DepthMap, truth: FloatArray) -> dict[str, float]:
-    """Return mean, rms and largest error over the mask in percent of the range, free offset removed."""
-    difference = (found.depth.astype(np.float64) - truth)[found.mask]
-    range_percent = float(np.ptp(truth[found.mask])) / 100.0
-    centred = difference - difference.mean()
-    return {
-        "mean": float(np.abs(difference - np.median(difference)).mean()) / range_percent,
-        "rms": float(np.sqrt((centred**2).mean())) / range_percent,
-        "largest": float(np.abs(centred).max()) / range_percent,
-    }
+    camera = Camera.orthographic(width=size, height=size)
+    progress.begin("surfaces", sum(len(integrators) for *_, integrators in plans))
+    for name, surface, mask, integrators in plans:
+        depth, normals = surface
+        normal_map = NormalMap(normals_in_camera=normals, mask=mask)
+        for integrator in integrators:
+            options = IntegrationOptions(integrator=integrator)
+            found = DepthIntegrator(camera, options).integrate(normal_map)
+            difference = found.depth.astype(np.float64) - depth
+            inside, percent = difference[found.mask], 100.0 / float(np.ptp(depth[found.mask]))
+            centred = percent * (inside - inside.mean())
+            distances = np.where(found.mask, percent * np.abs(difference - np.median(inside)), 0.0)
+            yield SurfaceError(
+                surface=name,
+                is_torn=surface is torn,
+                integrator=integrator.value,
+                numbers={
+                    "mean": float(distances[found.mask].mean()),
+                    "rms": float(np.sqrt((centred**2).mean())),
+                    "largest": float(np.abs(centred).max()),
+                },
+                distances_percent=distances,
+                mask=found.mask,
+            )
+            progress.step()
 
 
 def objects_in(folder: Path) -> list[Path]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,7 +21,15 @@ from vntoolkit.io import atomic
 from vntoolkit.io.conventions import graphics_from_camera
 from vntoolkit.io.maps_and_meshes.maps import write_normal_map
 from vntoolkit.io.results.folder import FolderKind, begin_run, option_values, read_lock, write_lock
-from vntoolkit.options.export import INSPECTED, ExportedSurface, ExportFormat, ExportOptions, FileUnit
+from vntoolkit.options.export import (
+    INSPECTED,
+    CleanOptions,
+    ExportArguments,
+    ExportedSurface,
+    ExportFormat,
+    ExportOptions,
+    FileUnit,
+)
 from vntoolkit.pipeline.opened_result import OpenedResult, read_result
 from vntoolkit.pipeline.texture_files import texture_of_tracks, with_captured_colours
 
@@ -32,21 +40,6 @@ _MATERIAL = "surface.mtl"  # of all frames in a folder of OBJ files
 _LOGGER = logging.getLogger(__name__)
 _METRES_PER_PIXEL = 0.001  # shown, not measured: a 600-pixel subject opens 0.6 m tall in Blender
 _HEADROOM = 1.25  # of a light's picture over the brightest that the rig's material gets
-
-
-@dataclass(frozen=True, kw_only=True)
-class ExportJob:
-    """What to export. folder: of `reconstruct`. out: file or folder, None for folder/export/….
-
-    footage, background: for `diligent`, as for `read_result`.
-    """
-
-    folder: Path
-    options: ExportOptions
-    out: Path | None = None
-    frames: str | None = None
-    footage: str = ""
-    background: Path | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,22 +56,23 @@ class ExportSummary:
     is_tracked: bool | None = None
 
 
-def export(job: ExportJob, *, overwrite: bool = False) -> ExportSummary:
+def export(asked: ExportArguments) -> ExportSummary:
     """Export a reconstruction in another format.
 
     A single file appears when it is whole. In a folder every file does; the same command again goes on where
     it stopped, and writes again what has changed since. Raises `BadInput`.
     """
-    with read_lock(job.folder):
-        result = read_result(job.folder, frames=job.frames, footage=job.footage, background=job.background)
-        track = _track_of(result, job.options)
-        if job.options.to in (ExportFormat.RRD, ExportFormat.MCAP):
+    folder = Path(asked.folder)
+    with read_lock(folder):
+        result = read_result(folder, frames=asked.frames, footage=asked.footage, background=asked.background)
+        track = _track_of(result, asked)
+        if asked.to in (ExportFormat.RRD, ExportFormat.MCAP):
             from vntoolkit.pipeline.export_recordings import export_recording
 
-            return export_recording(job, result, track)
-        if job.options.to is ExportFormat.USD or (job.options.to is ExportFormat.GLB and track is not None):
-            return _export_animation(job, result, track)
-        return _export_folder(job, result, track, overwrite)
+            return export_recording(asked, asked.out, result, track)
+        if asked.to is ExportFormat.USD or (asked.to is ExportFormat.GLB and track is not None):
+            return _export_animation(asked, result, track)
+        return _export_folder(asked, result, track)
 
 
 def _track_of(result: OpenedResult, options: ExportOptions) -> Tracks | None:
@@ -91,10 +85,10 @@ def _track_of(result: OpenedResult, options: ExportOptions) -> Tracks | None:
     return result.track
 
 
-def _export_animation(job: ExportJob, result: OpenedResult, track: Tracks | None) -> ExportSummary:
-    options, filmed = job.options, result.manifest.input
+def _export_animation(options: ExportArguments, result: OpenedResult, track: Tracks | None) -> ExportSummary:
+    filmed = result.manifest.input
     suffix = ".glb" if options.to is ExportFormat.GLB else ".usdc"
-    out = job.out or result.folder.root / "export" / f"surface{suffix}"
+    out = options.out or result.folder.root / "export" / f"surface{suffix}"
     if out.suffix.lower() not in ((".glb",) if suffix == ".glb" else (".usdc", ".usd")):
         raise BadInput(f"{out}: expected the name of a file that ends in {suffix}")
     lengths = file_lengths(options, result.length_unit)
@@ -152,11 +146,9 @@ def viewed_from(camera: Camera, offset: Vector3) -> ViewedFrom | None:
     return ViewedFrom(camera=camera, position=offset, rotation=np.eye(3), offset=offset)
 
 
-def _export_folder(
-    job: ExportJob, result: OpenedResult, track: Tracks | None, overwrite: bool
-) -> ExportSummary:
-    out = job.out or result.folder.root / "export" / job.options.to.value
-    writer = frame_export(result, track, job.options)
+def _export_folder(asked: ExportArguments, result: OpenedResult, track: Tracks | None) -> ExportSummary:
+    writer = frame_export(result, track, asked)
+    out = asked.out or result.folder.root / "export" / ExportFormat(asked.to).value
     if out.suffix and out.suffix.lower() == writer.suffix:
         raise BadInput(f"{out}: expected the name of a folder, for one {writer.suffix} a frame")
     root = result.folder.root
@@ -164,11 +156,12 @@ def _export_folder(
     if out.resolve() == root.resolve():
         raise BadInput(f"{out}: is the result itself; choose another --out")
     numbers = writer.numbers()
-    untouched = ("cleaning",) if job.options.cleaning is None else ()
-    values = option_values(job.options, without=untouched)
+    cleans = [each.name for each in fields(CleanOptions)]
+    values = option_values(asked.part(ExportOptions), without=("clean", *cleans))
+    values |= {} if asked.cleaning is None else option_values(asked.cleaning, "cleaning.")
     record = {"version": 1, "options": values, "result_sha256": result.digest, **writer.facts}
     with write_lock(out):
-        begin_run(out, EXPORT, record, overwrite=overwrite)
+        begin_run(out, EXPORT, record, overwrite=asked.overwrite)
         kept = {number for number in numbers if writer.is_current(out, number)}
         progress.begin("export", len(numbers), len(kept))
         for number in numbers:
@@ -310,80 +303,66 @@ class FrameExport(ABC):
 
 
 class _Meshes(FrameExport):
-    """PLY, OBJ, STL or GLB a frame, of the frames' own meshes."""
+    """PLY, OBJ, STL or GLB a frame, of the registered surface where there is one, else of its own mesh."""
 
     made_from, needs = ("mesh",), "mesh"
-    is_tracked = False
-    offset: Vector3 = np.zeros(3)
 
     def __init__(self, result: OpenedResult, track: Tracks | None, options: ExportOptions) -> None:
         super().__init__(result, track, options)
-        self.suffix = f".{options.to.value}"
-
-    def mesh(self, number: int) -> Mesh:
-        """Return the mesh of a frame."""
-        return own_mesh(self.result, number, self.options, self.factor)
-
-    def material(self, out: Path) -> str | None:
-        """Return the name of the material that all frames share, of OBJ files with a texture."""
-        return None
-
-    def write(self, out: Path, number: int) -> None:
-        path, mesh = self.place(out, number), self.mesh(number)
-        if self.options.to is ExportFormat.GLB:
-            from vntoolkit.io.maps_and_meshes.glb import write_glb
-
-            rate = self.result.manifest.input.playing_rate_hz
-            camera = viewed_from(self.result.camera, self.offset)
-            write_glb(path, mesh, iter([mesh.vertices]), frame_rate_hz=rate, camera=camera)
-        else:
-            from vntoolkit.io.maps_and_meshes.meshes import write_mesh
-
-            write_mesh(path, mesh, up=self.options.up, material=self.material(out))
-
-
-class _TrackedMeshes(_Meshes):
-    """The same of the registered surface."""
-
-    is_tracked = True
-    _has_material = False
-
-    def __init__(self, result: OpenedResult, track: Tracks, options: ExportOptions) -> None:
-        super().__init__(result, track, options)
-        self._track, self.offset = track, offset_of(track, options, self.factor)
-        self._texture = texture_of_tracks(result.folder.root / "track")
-        self._template = with_captured_colours(track, self._texture)
+        self.suffix, self.is_tracked = f".{options.to.value}", track is not None
+        self._offset: Vector3 = np.zeros(3)
+        self._texture, self._has_material = None, False
+        if track is not None:
+            self._offset = offset_of(track, options, self.factor)
+            self._texture = texture_of_tracks(result.folder.root / "track")
+            self._template = with_captured_colours(track, self._texture)
 
     @property
     def facts(self) -> Mapping[str, Any]:
         """By how much the files' meshes were moved, and hence where the camera is in them."""
-        if not self.options.centre:
+        if self.track is None or not self.options.centre:
             return {}
-        return {"camera_position": graphics_from_camera(self.offset, self.options.up).round(9).tolist()}
+        return {"camera_position": graphics_from_camera(self._offset, self.options.up).round(9).tolist()}
 
     def numbers(self) -> tuple[int, ...]:
-        return numbers_with(self.result, self.needs, self._track)
+        return numbers_with(self.result, self.needs, self.track)
 
     def sources(self, number: int) -> list[Path]:
+        if self.track is None:
+            return super().sources(number)
         return [self.result.folder.root / "track" / "vertices.npy"]
 
-    def mesh(self, number: int) -> Mesh:
-        vertices = self._track.mesh(number).vertices * self.factor + self.offset
-        return replace(
-            self._template, vertices=vertices, normals=vertex_normals(vertices, self._template.faces)
-        )
+    def write(self, out: Path, number: int) -> None:
+        path, mesh = self.place(out, number), self._mesh(number)
+        if self.options.to is ExportFormat.GLB:
+            from vntoolkit.io.maps_and_meshes.glb import write_glb
 
-    def material(self, out: Path) -> str | None:
+            rate = self.result.manifest.input.playing_rate_hz
+            camera = viewed_from(self.result.camera, self._offset)
+            write_glb(path, mesh, iter([mesh.vertices]), frame_rate_hz=rate, camera=camera)
+        else:
+            from vntoolkit.io.maps_and_meshes.meshes import write_mesh
+
+            write_mesh(path, mesh, up=self.options.up, material=self._material(out))
+
+    def _mesh(self, number: int) -> Mesh:
+        if self.track is None:
+            return own_mesh(self.result, number, self.options, self.factor)
+        vertices = self.track.mesh(number).vertices * self.factor + self._offset
+        normals = vertex_normals(vertices, self._template.faces)
+        return replace(self._template, vertices=vertices, normals=normals)
+
+    def _material(self, out: Path) -> str | None:
+        """Return the name of the material that all frames share, of OBJ files with a texture."""
         if self._texture is None or self.options.to is not ExportFormat.OBJ:
             return None
-        path = out / _MATERIAL
         if not self._has_material:
             from vntoolkit.io.maps_and_meshes.meshes import write_material
 
-            beside = self._texture.beside(path)
-            write_material(path, beside.albedo, beside.normal)
+            beside = self._texture.beside(out / _MATERIAL)
+            write_material(out / _MATERIAL, beside.albedo, beside.normal)
             self._has_material = True
-        return path.name
+        return _MATERIAL
 
 
 class _PointClouds(FrameExport):
@@ -484,11 +463,9 @@ def frame_export(result: OpenedResult, track: Tracks | None, options: ExportOpti
         ExportFormat.DILIGENT: _Diligent,
     }
     if options.to in INSPECTED:
-        from vntoolkit.pipeline.export_inspection import inspection_of
+        from vntoolkit.pipeline.export_inspection import Inspected
 
-        return inspection_of(result, track, options)
-    if options.to not in kinds and track is not None:
-        return _TrackedMeshes(result, track, options)
+        return Inspected(result, track, options)
     return kinds.get(options.to, _Meshes)(result, track, options)
 
 

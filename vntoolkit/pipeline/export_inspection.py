@@ -26,7 +26,7 @@ _UM = 1000.0  # per millimetre
 _FULL = 65535  # of a 16-bit picture, whose 0 says that nothing is measured
 
 
-class _Inspected(FrameExport):
+class Inspected(FrameExport):
     """Files of heights in millimetres; of a result without a scale, in widths of a pixel on the subject."""
 
     made_from, needs = ("normals", "depth"), "depth"
@@ -57,6 +57,7 @@ class _Inspected(FrameExport):
         return "px", float(self.result.camera.matrix[0, 0]) if unit is LengthUnit.FREE else 1.0
 
     def write(self, out: Path, number: int) -> None:
+        """Write the file of a frame."""
         path, depth_map = self.place(out, number), self.result.depth(number)
         assert depth_map is not None
         if self.options.to is ExportFormat.CURVATURE:
@@ -132,8 +133,3 @@ class _Inspected(FrameExport):
             for length, height in zip(*part.along(line[:2], line[2:]), strict=True)
         )
         atomic.write_text(path, text.getvalue())
-
-
-def inspection_of(result: OpenedResult, track: Tracks | None, options: ExportOptions) -> FrameExport:
-    """Return what writes the frames of a format for inspection."""
-    return _Inspected(result, track, options)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,8 +19,8 @@ from vntoolkit.io import atomic
 from vntoolkit.io.conventions import graphics_from_camera
 from vntoolkit.io.maps_and_meshes.masks import read_mask
 from vntoolkit.io.recordings.recorded import RecordedFrame, Stamp
-from vntoolkit.options.export import ExportFormat
-from vntoolkit.pipeline.export import ExportJob, ExportSummary, file_lengths, offset_of, own_mesh
+from vntoolkit.options.export import ExportFormat, ExportOptions
+from vntoolkit.pipeline.export import ExportSummary, file_lengths, offset_of, own_mesh
 from vntoolkit.pipeline.gel_motion import read_displacement_mm
 from vntoolkit.pipeline.opened_result import OpenedResult
 
@@ -30,15 +31,16 @@ _NS = 1_000_000_000
 _MM = 1000.0  # per metre
 
 
-def export_recording(job: ExportJob, result: OpenedResult, track: Tracks | None) -> ExportSummary:
+def export_recording(
+    options: ExportOptions, out: Path | None, result: OpenedResult, track: Tracks | None
+) -> ExportSummary:
     """Write all opened frames into one file; of footage that is gone, without its pictures."""
-    options = job.options
-    suffix = f".{options.to.value}"
-    out = job.out or result.folder.root / "export" / f"surface{suffix}"
+    suffix = f".{ExportFormat(options.to).value}"
+    out = out or result.folder.root / "export" / f"surface{suffix}"
     if out.suffix.lower() != suffix:
         raise BadInput(f"{out}: expected the name of a file that ends in {suffix}")
     atomic.require_writable_folder(out.parent)
-    recorded = _Frames(job, result, track).recorded()
+    recorded = _Frames(options, result, track).recorded()
     frames = progress.counted(recorded, "export", len(result.numbers))
     if options.to is ExportFormat.RRD:
         from vntoolkit.io.recordings.rerun_file import write_rrd
@@ -53,11 +55,11 @@ def export_recording(job: ExportJob, result: OpenedResult, track: Tracks | None)
 class _Frames:
     """Frames of a result as recordings hold them."""
 
-    def __init__(self, job: ExportJob, result: OpenedResult, track: Tracks | None) -> None:
-        self._options, self._result, self._track = job.options, result, track
-        has_mesh = job.options.to is ExportFormat.RRD
-        self._factor = file_lengths(job.options, result.length_unit).factor if has_mesh else 1.0
-        self._offset = np.zeros(3) if track is None else offset_of(track, job.options, self._factor)
+    def __init__(self, options: ExportOptions, result: OpenedResult, track: Tracks | None) -> None:
+        self._options, self._result, self._track = options, result, track
+        has_mesh = options.to is ExportFormat.RRD
+        self._factor = file_lengths(options, result.length_unit).factor if has_mesh else 1.0
+        self._offset = np.zeros(3) if track is None else offset_of(track, options, self._factor)
         try:
             self._stamps = result.capture.stamps
         except VntError:

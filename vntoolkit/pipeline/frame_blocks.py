@@ -15,7 +15,7 @@ from vntoolkit.io.footage.decoding import EncodedFrame
 from vntoolkit.io.results.frame_log import FrameEntry
 from vntoolkit.io.results.manifest import Known
 from vntoolkit.native import loops_may_overlap
-from vntoolkit.options.reconstruction import OnError
+from vntoolkit.options.reconstruction import OnError, Product
 from vntoolkit.photometry.frame import ALL_LIT
 from vntoolkit.pipeline.frame_processor import Carried, FrameProcessor, PreparedFrame
 from vntoolkit.pipeline.outputs import FrameResult, write_frame
@@ -54,13 +54,11 @@ class FrameBlockProcessor:
         overlap = self._processor.finds_shadows and threads > 1 and loops_may_overlap()
         self._lanes = 2 if overlap else 1  # frames whose normals are found at a time
         self._carried = Carried(albedo=None if request.is_of_gel else known.relative_albedo)
-        if options.ties_depth or known.materials:
+        if options.to is not Product.NORMALS or known.materials:
             at = known.reference_frame
             with contextlib.suppress(VntError):  # where it is met as a frame, it is reported
                 frame = next(self._frames(range(at, at + 1)))
-                self._processor.set_reference(
-                    self._carried, frame, mattes.of(frame), ties_depth=options.ties_depth
-                )
+                self._processor.set_reference(self._carried, frame, mattes.of(frame))
 
     def run(self, block: range, already_done: frozenset[int] = frozenset()) -> Iterator[FrameEntry]:
         """Process a block and write its frames, but for those already on disk; yield a record per new frame.

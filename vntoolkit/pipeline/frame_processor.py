@@ -156,16 +156,13 @@ class FrameProcessor:
         result = self.with_depth(result, carried)
         return self.with_mesh(result, frame)
 
-    def set_reference(
-        self, carried: Carried, frame: EncodedFrame, matte: Mask | None = None, *, ties_depth: bool = True
-    ) -> None:
+    def set_reference(self, carried: Carried, frame: EncodedFrame, matte: Mask | None = None) -> None:
         """Let a frame tell noise, blur, and how exact materials' lengths are, for all frames.
 
-        ties_depth: the depth of later frames is tied to its own, too; see `DepthAnchor`. Raises as `process`
-        does.
+        Depth, if asked for, is tied to its own; see `DepthAnchor`. Raises as `process` does.
         """
         carried.reset()
-        if ties_depth:
+        if self._options.to is not Product.NORMALS:
             from vntoolkit.integration.integrate import DepthAnchor
 
             result = self._normals(self.prepared(frame, matte, carried))

@@ -2,9 +2,9 @@
 
 import logging
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from itertools import chain
 from os import PathLike
 from pathlib import Path
 
@@ -58,16 +58,13 @@ _MOST_BACKWARD = 0.25  # of the normals: more is no noise at the outline, but ot
 _OF_DILIGENT = ("normals.exr", "Normal_gt.mat", "Normal_est.mat", "normal.png", "normal_map.png")
 
 
-Reader = Callable[[Mask | None], StoredNormals]
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class NormalSource:
-    """Normal maps in order: their files, how many, and what reads one. companions: mask.png and K.txt."""
+    """Normal maps in order: their files, how many, and what reads some. companions: mask.png and K.txt."""
 
     files: tuple[Path, ...]
     count: int
-    readers: Callable[[tuple[int, ...]], Iterator[tuple[int, Reader]]]
+    read: Callable[[Sequence[int], Mask | None], Iterator[tuple[int, StoredNormals]]]
     frame_rate_hz: float | None = None
     mask: Path | None = None
     camera: Path | None = None
@@ -94,14 +91,13 @@ def open_normals(source: str) -> NormalSource:
             "their names", source, files[0].name, files[-1].name, len(files) - 1,
         )  # fmt: skip
 
-    def readers(numbers: tuple[int, ...]) -> Iterator[tuple[int, Reader]]:
-        for number in numbers:
-            yield number, partial(read_stored_normals, files[number])
+    def read(numbers: Sequence[int], mask: Mask | None) -> Iterator[tuple[int, StoredNormals]]:
+        return ((number, read_stored_normals(files[number], mask)) for number in numbers)
 
     return NormalSource(
         files=files,
         count=len(files),
-        readers=readers,
+        read=read,
         mask=_beside(files, folder / "mask.png"),
         camera=_beside(files, folder / "K.txt"),
     )
@@ -124,16 +120,14 @@ def _files_of(path: Path) -> tuple[Path, ...]:
 
 
 def _video_source(capture: Capture, path: Path) -> NormalSource:
-    def readers(numbers: tuple[int, ...]) -> Iterator[tuple[int, Reader]]:
+    def read(numbers: Sequence[int], mask: Mask | None) -> Iterator[tuple[int, StoredNormals]]:
         wanted = set(numbers)
         for frame in capture.encoded_frames(numbers[0], numbers[-1] + 1):
             if frame.number in wanted:
-                yield frame.number, partial(stored_normals, frame.values, name=frame.name)
+                yield frame.number, stored_normals(frame.values, mask, name=frame.name)
 
     info = capture.info
-    return NormalSource(
-        files=(path,), count=info.frame_count, readers=readers, frame_rate_hz=info.frame_rate_hz
-    )
+    return NormalSource(files=(path,), count=info.frame_count, read=read, frame_rate_hz=info.frame_rate_hz)
 
 
 def integrate_normals(asked: IntegrateArguments) -> Path:
@@ -154,7 +148,7 @@ def integrate_normals(asked: IntegrateArguments) -> Path:
     root = Path(asked.out)
     folder, log = ReconstructionFolder(root=root), FrameLog(root)
     with write_lock(root):
-        first = next(read for _, read in source.readers(numbers[:1]))(mask)
+        _, first = next(source.read(numbers[:1], mask))
         integrator = _begun(asked, source, first, mask_file)
         manifest = _manifest(asked, source, integrator.rig, mask_file)
         goes_on = begin_run(root, RECONSTRUCTION, manifest, overwrite=asked.overwrite)
@@ -162,9 +156,10 @@ def integrate_normals(asked: IntegrateArguments) -> Path:
             {n for n in numbers if n in log.done() and folder.has(n, *manifest.outputs)} if goes_on else set()
         )
         progress.begin("integrate", len(numbers), len(kept))
-        for number, read in source.readers((numbers[0], *(n for n in numbers[1:] if n not in kept))):
-            started = time.perf_counter()
-            result = integrator.frame(number, first if number == numbers[0] else read(mask))
+        rest = [n for n in numbers[1:] if n not in kept]
+        started = time.perf_counter()
+        for number, stored in chain([(numbers[0], first)], source.read(rest, mask) if rest else ()):
+            result = integrator.frame(number, stored)
             if number in kept:
                 continue
             write_frame(folder, result)
@@ -175,6 +170,7 @@ def integrate_normals(asked: IntegrateArguments) -> Path:
             )
             log.append(entry)
             progress.step()
+            started = time.perf_counter()
         log.close()
         write_manifest(root, manifest.model_copy(update={"finished": manifests.now_utc()}))
     return root

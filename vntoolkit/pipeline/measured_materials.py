@@ -27,7 +27,14 @@ from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline.frame_processor import FrameProcessor
 from vntoolkit.pipeline.request import Footage
-from vntoolkit.pipeline.rig_material import JUDGED, LIT_SHARE, MOST_UNEXPLAINED, REMEDY, WRONG_LENGTH
+from vntoolkit.pipeline.rig_material import (
+    JUDGED,
+    LIT_SHARE,
+    MOST_UNEXPLAINED,
+    REMEDY,
+    WRONG_LENGTH,
+    share_of_wrong_lengths,
+)
 from vntoolkit.pipeline.threads import read_ahead
 
 logger = logging.getLogger(__name__)
@@ -235,7 +242,7 @@ def _explaining(
     lamps = rgb @ response.contributions_from_rgb.T
     lit = (lamps > LIT_SHARE * lamps.max(axis=1, keepdims=True)).all(axis=1)
     length = np.linalg.norm((rgb[lit] - response.ambient) @ response.inverse.T, axis=1)
-    wrong = float(np.mean(np.abs(length - 1.0) > WRONG_LENGTH)) if length.size else 0.0
+    wrong = share_of_wrong_lengths(length) if length.size else 0.0
     if wrong <= MOST_UNEXPLAINED:
         return found
     kept = wrong <= _MOST_UNEXPLAINED_OF_ANY

@@ -20,9 +20,9 @@ from vntoolkit.io.maps_and_meshes.masks import read_mask, write_mask
 from vntoolkit.normals.photometric_stereo import StereoResult, solve_photometric_stereo
 from vntoolkit.options.normal_maps import PhotometricStereoArguments
 from vntoolkit.photometry.transfer import Transfer, linear_from_encoded
+from vntoolkit.spread import NINE_OF_TEN_IN_PLANE
 
 _FEWEST_VALID = 0.05  # of the subject: fewer have a normal only where lamps and photographs do not match
-_NINE_OF_TEN = 2.146  # standard deviations of a direction, in two dimensions
 
 
 def photometric_stereo(asked: PhotometricStereoArguments) -> NormalMap:
@@ -74,7 +74,7 @@ def expected_error_deg(images: FloatArray, lights: Points, result: StereoResult)
     across = np.trace(covariance) - np.einsum("ni,ij,nj->n", normals, covariance, normals)
     sigma = np.sqrt(variance * 0.5 * across * count / used)
     error = np.zeros(normal_map.shape, np.float32)
-    error.ravel()[at] = np.degrees(_NINE_OF_TEN * sigma)
+    error.ravel()[at] = np.degrees(NINE_OF_TEN_IN_PLANE * sigma)
     return error
 
 

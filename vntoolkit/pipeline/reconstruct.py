@@ -37,6 +37,7 @@ from vntoolkit.pipeline.request import Footage, Request
 
 if TYPE_CHECKING:
     from vntoolkit.diagnosis.backdrop import Backdrop
+    from vntoolkit.geometry.maps import NormalMap
     from vntoolkit.pipeline.frame_blocks import Block
 
 logger = logging.getLogger(__name__)
@@ -84,16 +85,17 @@ def reconstruct(
     """
     frames, started = frames or FrameRange(), time.perf_counter()
     progress.begin("prepare")
-    footage = _checked_footage(request, frames, jobs, scheduler)
-    with write_lock(request.folder.root), recorded_warnings() as warnings:
-        run = _begun(request, footage, frames, overwrite)
-        progress.begin(f"frames of {request.folder.root.name}", len(run.numbers), len(run.resumed))
-        for entry in run.missing:
-            run.log.append(entry)
-            progress.step()
-        made = _made_frames(run, jobs, scheduler)
-        seconds = time.perf_counter() - started
-        return _ended(run, footage, frames, made, warnings, seconds)
+    with recorded_warnings() as warnings:
+        footage = _checked_footage(request, frames, jobs, scheduler)
+        with write_lock(request.folder.root):
+            run = _begun(request, footage, frames, overwrite)
+            progress.begin(f"frames of {request.folder.root.name}", len(run.numbers), len(run.resumed))
+            for entry in run.missing:
+                run.log.append(entry)
+                progress.step()
+            made = _made_frames(run, jobs, scheduler)
+            seconds = time.perf_counter() - started
+            return _ended(run, footage, frames, made, warnings, seconds)
 
 
 def _checked_footage(request: Request, frames: FrameRange, jobs: int, scheduler: str | None) -> Footage:
@@ -273,7 +275,7 @@ def _ended(
     seconds: float,
 ) -> ReconstructionSummary:
     """Write what the frames took, how good they are and what was wrong; return what the run did."""
-    from vntoolkit.diagnosis.backdrop import LARGE_ERROR_DEG
+    from vntoolkit.diagnosis.backdrop import LARGE_ERROR_DEG, spread_deg
 
     root, info = run.request.folder.root, footage.capture.info
     entries = run.log.entries()
@@ -285,17 +287,21 @@ def _ended(
     timings = {"frame_s": float(np.median(spent)) if spent else 0.0, "wall_s": round(seconds, 3)}
     errors = [entry.error_deg for entry in done if entry.error_deg is not None]
     error_deg = round(float(np.percentile(errors, _WORST, method="higher")), 2) if errors else None
-    own = []
-    if (backdrop := _backdrop(run, done)) is not None:
-        own.append(backdrop.finding)
-        error_deg = round(backdrop.subject_deg, 2)
-    if error_deg is not None and error_deg > LARGE_ERROR_DEG:
-        logger.warning(
-            "the expected error of the normals, which nine of ten stay within, is %.0f degrees in the median "
-            "of the worst frames (usual: below %.0f): noise, gloss, near lamps or another colour than the "
-            "rig's; `vntoolkit doctor` names what it finds, `vntoolkit report` shows where",
-            error_deg, LARGE_ERROR_DEG,
-        )  # fmt: skip
+    own, worst = [], _worst_map(run, done)
+    if worst is not None:
+        subject = worst.mask
+        if (backdrop := _backdrop(run, worst)) is not None:
+            own.append(backdrop.finding)
+            error_deg, subject = round(backdrop.subject_deg, 2), backdrop.subject
+        spread = spread_deg(worst, subject)
+        if error_deg is not None and error_deg > max(LARGE_ERROR_DEG, spread):
+            logger.warning(
+                "the expected error of the normals, which nine of ten stay within, is %.0f degrees in the "
+                "median of the worst frames, and nine of ten normals lie within %.0f of their mean: they "
+                "tell no more than a flat surface. Noise, gloss, near lamps or another colour than the rig's "
+                "do so; `vntoolkit doctor` names what it finds, `vntoolkit report` shows where",
+                error_deg, spread,
+            )  # fmt: skip
     if of_run and all(entry.shows_nothing for entry in of_run):
         raise BadCapture(of_run[0].failure)
     failed = [entry for entry in made if entry.failure]
@@ -336,19 +342,25 @@ def _ended(
     return summary
 
 
-def _backdrop(run: _Run, done: Sequence[FrameEntry]) -> "Backdrop | None":
-    """Find a backdrop that counts as subject in the frame of the largest expected error; write a mask."""
-    from vntoolkit.diagnosis.backdrop import MASK_NAME, backdrop_in
+def _worst_map(run: _Run, done: Sequence[FrameEntry]) -> "NormalMap | None":
+    """Read the normals of the frame of the largest expected error; None where there are none."""
     from vntoolkit.io.maps_and_meshes.maps import read_normal_map
 
-    request, errors = run.request, [entry.error_deg or 0.0 for entry in done]
-    masked = request.mask is not None or request.matting.key is not None
-    if masked or request.is_of_gel or max(errors, default=0.0) <= 0.0:
+    folder, errors = run.request.folder, [entry.error_deg or 0.0 for entry in done]
+    if max(errors, default=0.0) <= 0.0:
         return None
-    worst = done[int(np.argmax(errors))].number
-    if not request.folder.has(worst, "normals"):
+    number = done[int(np.argmax(errors))].number
+    return read_normal_map(folder.file("normals", number)) if folder.has(number, "normals") else None
+
+
+def _backdrop(run: _Run, worst: "NormalMap") -> "Backdrop | None":
+    """Find a backdrop that counts as subject; write a mask."""
+    from vntoolkit.diagnosis.backdrop import MASK_NAME, backdrop_in
+
+    request = run.request
+    if request.mask is not None or request.matting.key is not None or request.is_of_gel:
         return None
-    backdrop = backdrop_in(read_normal_map(request.folder.file("normals", worst)))
+    backdrop = backdrop_in(worst)
     if backdrop is not None:
         from vntoolkit.io.maps_and_meshes.masks import write_mask
 

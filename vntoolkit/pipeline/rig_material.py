@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 
-from vntoolkit.arrays import Mask
+from vntoolkit.arrays import FloatArray, Mask
 from vntoolkit.errors import BadCapture, BadInput
 from vntoolkit.normals.inversion import relative_albedo_from_frame
 from vntoolkit.options.reconstruction import MaterialSearch, ReconstructOptions
@@ -15,6 +15,7 @@ from vntoolkit.photometry.response import LightResponse, scaled_normals_from_rgb
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline.frame_processor import FrameProcessor
 from vntoolkit.pipeline.request import Footage
+from vntoolkit.spread import robust_deviation
 
 logger = logging.getLogger(__name__)
 _WORST_RESIDUAL = (
@@ -49,6 +50,11 @@ def measured_brightness(
     return float(np.format_float_positional(albedo, precision=4, fractional=False)), warn
 
 
+def share_of_wrong_lengths(lengths: FloatArray) -> float:
+    """Return the share of lengths (n,) that are far from 1, rounded as it is printed beside the limit."""
+    return round(float(np.mean(np.abs(lengths - 1.0) > WRONG_LENGTH)), 2)
+
+
 def _warn_of_other_material(
     response: LightResponse,
     choice: MaterialSearch | int,
@@ -70,15 +76,16 @@ def _warn_of_other_material(
     reached = length[bright & (light > LIT_SHARE * light.max(axis=1, keepdims=True)).all(axis=1)]
     facing = (scaled[bright] / length[bright, None]).mean(axis=0)
     tilt_deg = float(np.degrees(np.arccos(np.clip(-facing[2] / np.linalg.norm(facing), -1.0, 1.0))))
-    residual = 1.4826 * float(np.median(np.abs(length[bright] - np.median(length[bright]))))
-    off = float(np.mean(np.abs(reached / np.median(reached) - 1.0) > WRONG_LENGTH)) if reached.size else 0.0
+    residual = round(robust_deviation(length[bright] - np.median(length[bright])), 2)
+    off = share_of_wrong_lengths(reached / np.median(reached)) if reached.size else 0.0
     wrong = []
-    if residual > _WORST_RESIDUAL:
+    told = response.light_colours is not None  # then what a material of another colour leaves is told before
+    if residual > _WORST_RESIDUAL and not (told and choice is MaterialSearch.AUTO):
         wrong.append(
             f"the lengths of its normals, which should be equal, spread by {100 * residual:.0f} % (expected "
             f"below {100 * _WORST_RESIDUAL:.0f})"
         )
-    elif off > MOST_UNEXPLAINED and response.light_colours is None:  # with colours, told before
+    elif off > MOST_UNEXPLAINED and not told:
         wrong.append(
             f"the lengths of {100 * off:.0f} % of its normals are off by more than {100 * WRONG_LENGTH:.0f} "
             f"% (expected in at most {100 * MOST_UNEXPLAINED:.0f} %; gloss does this, too)"

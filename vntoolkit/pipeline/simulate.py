@@ -72,19 +72,12 @@ Picture = ByteArray
 _DISPLAY_GAMMA = 2.2
 
 
-@dataclass(frozen=True, kw_only=True)
-class SimulationSummary:
-    """What a run made. rendered: frames rendered now; frames: of the capture."""
-
-    frames: int
-    rendered: int
-
-
-def simulate(job: SimulationJob, *, jobs: int = 1, overwrite: bool = False) -> SimulationSummary:
+def simulate(job: SimulationJob, *, jobs: int = 1, overwrite: bool = False) -> int:
     """Film a scene into a folder: capture.mkv, truth/, contact_sheet.png, simulation.json.
 
-    A run that was interrupted goes on where it stopped. jobs: worker processes. Raises `BadInput`
-    where the folder holds another capture, `CannotWrite` while another run is at work there.
+    Return how many frames were rendered now: a run that was interrupted goes on where it stopped. jobs:
+    worker processes. Raises `BadInput` where the folder holds another capture, `CannotWrite` while another
+    run is at work there.
     """
     if jobs < 1:
         raise BadInput(f"jobs: expected at least 1 process, got {jobs}")
@@ -94,7 +87,7 @@ def simulate(job: SimulationJob, *, jobs: int = 1, overwrite: bool = False) -> S
         resume = begin_run(folder.root, SIMULATION, job.description(), overwrite=overwrite)
         if resume and folder.video.exists():
             if folder.is_complete(count):
-                return SimulationSummary(frames=count, rendered=0)
+                return 0
             logger.warning("%s: true maps are gone, so all frames are rendered again", folder.truth)
         write_fixed_truth(job)
         missing = [place for place in range(count) if not folder.staged(place).exists()]
@@ -107,7 +100,7 @@ def simulate(job: SimulationJob, *, jobs: int = 1, overwrite: bool = False) -> S
         filmed = (read_image(folder.staged(place)) for place in range(count))
         write_video(folder.video, filmed, job.built.frame_rate_hz / job.numbers.step)
         remove_numbered(folder.staged(0).parent, ".png", range(count))
-    return SimulationSummary(frames=count, rendered=len(missing))
+    return len(missing)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

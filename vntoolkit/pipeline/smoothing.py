@@ -9,7 +9,6 @@ from vntoolkit.arrays import Array, UInt16Array
 from vntoolkit.checks import require_positive
 from vntoolkit.io.footage.captures import Capture
 from vntoolkit.io.footage.decoding import EncodedFrame
-from vntoolkit.native import njit
 
 _FULL = 65535
 
@@ -44,28 +43,12 @@ def smoothed_over_time(before: Array, now: Array, after: Array, bits: int, samen
     pixels are still known. Raises `BadInput` where sameness is not positive.
     """
     require_positive(sameness, "sameness")
-    out = np.empty(now.shape, np.uint16)
-    top = 2**bits - 1
-    _blend(before, now, after, np.float32(_FULL / top), np.float32(0.5 / (sameness * top) ** 2), top, out)
-    return out
-
-
-@njit(cache=True)
-def _blend(before, now, after, scale, sharpness, top, out):  # type: ignore[no-untyped-def]  # pragma: no cover
-    height, width = now.shape[:2]
-    for v in range(height):
-        for u in range(width):
-            d_before, d_after = np.float32(0), np.float32(0)
-            for c in range(3):
-                own = np.float32(now[v, u, c])
-                d_before += (np.float32(before[v, u, c]) - own) ** 2
-                d_after += (np.float32(after[v, u, c]) - own) ** 2
-            w_before, w_after = np.exp(-d_before * sharpness), np.exp(-d_after * sharpness)
-            inverse = scale / (np.float32(1) + w_before + w_after)
-            for c in range(3):
-                own = now[v, u, c]
-                if own >= top:
-                    out[v, u, c] = np.uint16(65535)
-                    continue
-                total = np.float32(own) + w_before * before[v, u, c] + w_after * after[v, u, c]
-                out[v, u, c] = np.uint16(total * inverse + np.float32(0.5))
+    top = np.float32(2**bits - 1)
+    own = now.astype(np.float32)
+    total, weights = own.copy(), np.ones((*now.shape[:2], 1), np.float32)
+    for other in (before.astype(np.float32), after.astype(np.float32)):
+        squared = ((other - own) ** 2).sum(axis=2, keepdims=True)
+        weight = np.exp(squared * np.float32(-0.5 / (sameness * top) ** 2))
+        total, weights = total + weight * other, weights + weight
+    blended = (total * (np.float32(_FULL) / top / weights) + np.float32(0.5)).astype(np.uint16)
+    return np.where(now >= top, np.uint16(_FULL), blended)

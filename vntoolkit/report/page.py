@@ -19,6 +19,7 @@ from vntoolkit.io.files import read_bytes
 from vntoolkit.io.footage.image_writing import encoded_image
 from vntoolkit.io.results.manifest import now_utc
 from vntoolkit.report.pictures import report_style
+from vntoolkit.report.scene import rendered
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -127,17 +128,9 @@ def write_page(
     path: Path, title: str, sections: list[PageSection], *, subtitle: str = "", numbers: Any = ()
 ) -> None:
     """Write the page, atomically. numbers: `PageNumber`s under the title. All text is escaped."""
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-
-    environment = Environment(
-        loader=PackageLoader("vntoolkit.report"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
     written = datetime.datetime.fromisoformat(now_utc()).strftime("%Y-%m-%d %H:%M UTC")
-    text = environment.get_template("page.html.j2").render(
+    text = rendered(
+        "page.html.j2",
         title=title,
         subtitle=subtitle,
         numbers=tuple(numbers),

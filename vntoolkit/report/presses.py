@@ -33,12 +33,12 @@ def write_press_overlay(path: Path | str, job: PressJob) -> None:
                 found, by = find_contact_circle(change), "found"
                 circle = None if found is None else found.press
             axes.imshow(_shown(change))
-            told = "passed over"
+            caption = "passed over"
             if circle is not None:
-                told = f"{by}: {circle.u_px:.0f} {circle.v_px:.0f} {circle.radius_px:.0f}"
+                caption = f"{by}: {circle.u_px:.0f} {circle.v_px:.0f} {circle.radius_px:.0f}"
                 middle = (circle.u_px, circle.v_px)
                 axes.add_patch(Circle(middle, circle.radius_px, fill=False, color="white", lw=1.2))
-            axes.set_title(f"{name}  {told}", fontsize=7)
+            axes.set_title(f"{name}  {caption}", fontsize=7)
             axes.tick_params(labelsize=6)
         for axes in tiles[count:]:
             axes.set_axis_off()

@@ -132,19 +132,8 @@ def shares_section(result: OpenedResult) -> page.PageSection:
             "Clipped pixels carry no normal. Shadowed ones, which not all three lights reach, were recovered "
             "from the lights that do and from the surface around them; their share is of the valid pixels.",
         ),
-        numbers=_shares(entries[0]) if len(entries) == 1 else (),
         figures=(_shares_figure(entries, skipped),) if len(entries) > 1 else (),
         tables=(page.PageTable(headings=("skipped frame", "why"), rows=rows),) if rows else (),
-    )
-
-
-def _shares(entry: FrameEntry) -> tuple[page.PageNumber, ...]:
-    """What the figure shows of many frames, of a single one."""
-    shares = (entry.valid_share, entry.shadowed_share, entry.clipped_share)
-    labels = ("with a normal, of all pixels", "shadowed, of those", "clipped, of all pixels")
-    return tuple(
-        page.PageNumber(value=f"{100 * share:.1f} %", label=label)
-        for share, label in zip(shares, labels, strict=True)
     )
 
 

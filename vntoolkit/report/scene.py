@@ -41,9 +41,9 @@ class Packet:
     def add(self, block: Array | bytes) -> int:
         """Add a block; return its place."""
         content = block if isinstance(block, bytes) else np.ascontiguousarray(block).tobytes()
-        place, room = self._size, -len(content) % 4
-        self._blocks += [content, b"\0" * room]
-        self._size += len(content) + room
+        place, padding = self._size, -len(content) % 4
+        self._blocks += [content, b"\0" * padding]
+        self._size += len(content) + padding
         return place
 
     def raw_picture(self, rgba: ByteArray) -> dict[str, Any]:
@@ -174,16 +174,9 @@ def scene_page(title: str, mode: str, setup: Mapping[str, Any]) -> str:
 
 def page_from_template(template: str, *, script: str, title: str, setup: Mapping[str, Any]) -> str:
     """Return a page as HTML, script and style inside. setup: what template and script must know."""
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-
-    environment = Environment(
-        loader=PackageLoader("vntoolkit.report"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-    )
     data = json.dumps(dict(setup), separators=(",", ":"))
-    return environment.get_template(template).render(
+    return rendered(
+        template,
         **{
             **setup,
             "title": title,
@@ -191,8 +184,22 @@ def page_from_template(template: str, *, script: str, title: str, setup: Mapping
             "style": scene_text("scene.css"),
             "script": scene_text(script),
             "policy": content_policy(script) if setup["mode"] == "file" else None,
-        }
+        },
     )
+
+
+def rendered(name: str, /, **values: Any) -> str:
+    """Return a template of this folder with its values; all text is escaped."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    environment = Environment(
+        loader=PackageLoader("vntoolkit.report"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    return environment.get_template(name).render(**values)
 
 
 @cache

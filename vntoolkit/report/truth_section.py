@@ -159,13 +159,5 @@ def _table(frames: Sequence[truth_comparison.FrameComparison]) -> page.PageTable
 
 def _seen_from(mesh: Mesh, azimuth_deg: float) -> pictures.Picture:
     """Plain plaster: the captured colours would hide the shape."""
-    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
-    view = View(
-        centre=(low + high) / 2,
-        height=1.1 * float((high - low)[:2].max()),
-        azimuth_deg=azimuth_deg,
-        elevation_deg=8.0,
-        width_px=_VIEW_PX,
-        height_px=_VIEW_PX,
-    )
+    view = View.around(mesh, _VIEW_PX, _VIEW_PX, azimuth_deg=azimuth_deg, elevation_deg=8.0)
     return picture_of([replace(mesh, colours=None)], view)

@@ -19,8 +19,8 @@ from vntoolkit.photometry.response import LightResponse
 from vntoolkit.shadows.contributions import contributions_from_frame
 from vntoolkit.shadows.roots import roots_of_labels, spread_of_albedo, with_sides_of_roots
 from vntoolkit.shadows.surface import ALBEDO_SPREAD, LabelledImage, Surface, SurfaceOptions
+from vntoolkit.spread import robust_deviation
 
-_MEDIAN_TO_DEVIATION = 1.4826
 _FEWEST_LOOPS = 100
 _FEWEST_PAIRS = 60  # of rows, whose noise stands for the frame's
 # Of a pixel that 0 … 3 lights reach: one alone hangs on the albedo; few pixels under two must hold against
@@ -87,4 +87,4 @@ def _noise_between(upper: FloatArray, known: Mask, lower: FloatArray, also: Mask
     if np.count_nonzero(loops) < _FEWEST_LOOPS:
         return None
     sums = np.abs((along_u + along_v) * facing[:, :-1] ** 2)[loops]
-    return float(_MEDIAN_TO_DEVIATION * np.median(sums) / np.sqrt(2.0))  # of 8 slopes, a half each
+    return robust_deviation(sums) / float(np.sqrt(2.0))  # of 8 slopes, a half each

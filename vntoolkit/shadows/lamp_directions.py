@@ -16,12 +16,12 @@ from vntoolkit.arrays import FloatArray, IntArray, Mask, Matrix3, Points2, Vecto
 from vntoolkit.errors import BadRig
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
+from vntoolkit.spread import robust_deviation
 
 _FEWEST_PIXELS = 30
 _MOST_PIXELS = 2_000  # evenly spread: more tell nothing new
 _ROUNDS = 8  # of the robust fit
 _TUNING = 2.0  # standard deviations from the plane at which a colour counts a quarter
-_MEDIAN_TO_DEVIATION = 1.4826
 SURE_DEG = 4.0  # standard deviation of a direction: M's rows of a camera that mixes lamps are off by 4 to 9
 _LEAST_OFFSET = 0.02  # of a colour, off its plane: what near lamps, half-light and interreflection leave
 
@@ -120,7 +120,7 @@ def _normal_of_plane(vectors: FloatArray) -> tuple[Vector3, float]:
     for _ in range(_ROUNDS):
         squares, axes = np.linalg.eigh((vectors * weight[:, None]).T @ vectors)
         off = vectors @ axes[:, 0]
-        scale = max(_TUNING * _MEDIAN_TO_DEVIATION * float(np.median(np.abs(off))), 1e-6)
+        scale = max(_TUNING * robust_deviation(off), 1e-6)
         weight = 1.0 / (1.0 + (off / scale) ** 2) ** 2
     across, along, longest = np.sqrt(np.maximum(squares, 0.0))
     doubt = np.hypot(across, _LEAST_OFFSET * longest) / max(along, 1e-9)

@@ -12,7 +12,7 @@ from vntoolkit.geometry.garment_fit import GarmentFit, fit_similarity
 from vntoolkit.geometry.mesh import Mesh, face_normals
 from vntoolkit.geometry.motion import Motion, Skeleton, forward_kinematics
 from vntoolkit.geometry.rigid import RigidTransform, Similarity
-from vntoolkit.options.dressing import ArmPose, DepthPlacement, Garment, GarmentFitOptions
+from vntoolkit.options.dressing import Garment, GarmentFitOptions
 from vntoolkit.skinning import alignment
 from vntoolkit.skinning import anatomy as anatomies
 from vntoolkit.skinning.sleeves import GarmentRegions, regions_of_garment
@@ -77,7 +77,7 @@ def fit_garment_to_figure(
     sleeved = alignment.arms_in_sleeves(arms, regions.sleeves, skeleton, pose)
     rest_from_first = np.tile(np.eye(4), (len(skeleton.names), 1, 1))
     is_given = bool(fit.pose) or fit.bind_frame is not None or bool(fit.landmarks)
-    if options.arms is ArmPose.SLEEVES and not is_given:
+    if not is_given:
         for one in sleeved:
             rotations = alignment.turned_into_sleeve(one, skeleton, rotations, pose)
             for joint, matrix in one.transforms(skeleton).items():
@@ -183,7 +183,7 @@ def _by_bounding_box(
     bottom, top = _vertical_span(pose, anatomy, anatomies.shoulders_of(skeleton, anatomy), options.garment)
     fullness = options.fullness or _FULLNESS.get(options.garment, _UPPER_FULLNESS)
     scale = fullness * (bottom - top) / height
-    anchor = np.array([(low[0] + high[0]) / 2, low[1], _anchor_depth(garment, options)])
+    anchor = np.array([(low[0] + high[0]) / 2, low[1], _anchor_depth(garment)])
     target = np.array([trunk[:, 0].mean(), top, trunk[:, 2].mean()])
     translation = target - scale * rotation @ anchor
     return Similarity(scale=scale, rigid=RigidTransform(rotation=rotation, translation=translation))
@@ -210,15 +210,12 @@ def _vertical_span(
 _OPEN_ABOVE = 0.3  # |Σ area vectors| / Σ areas: 0 for a closed garment, near 1 for a flat sheet
 
 
-def _anchor_depth(garment: Mesh, options: GarmentFitOptions) -> float:
-    placement = options.depth
-    if placement is DepthPlacement.AUTO:
-        areas = face_normals(garment.vertices, garment.faces)
-        total = float(np.linalg.norm(areas, axis=1).sum())
-        is_open = np.linalg.norm(areas.sum(axis=0)) > _OPEN_ABOVE * total
-        placement = DepthPlacement.REAR if is_open else DepthPlacement.CENTRE
+def _anchor_depth(garment: Mesh) -> float:
+    """Return where the bones lie: at the rear of an open sheet, else in the centre."""
+    areas = face_normals(garment.vertices, garment.faces)
+    total = float(np.linalg.norm(areas, axis=1).sum())
     covered = garment.vertices[np.unique(garment.faces)] if len(garment.faces) else garment.vertices
-    if placement is DepthPlacement.REAR:
+    if np.linalg.norm(areas.sum(axis=0)) > _OPEN_ABOVE * total:
         return _rear(covered)
     return float(covered[:, 2].min() + covered[:, 2].max()) / 2
 

@@ -29,7 +29,8 @@ from vntoolkit.photometry.fit_quality import angles_deg, cone_of_normals_deg, wa
 from vntoolkit.photometry.gel import TERM_DEGREES, TERMS, GelResponse
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.rig import FitQuality
-from vntoolkit.tactile.presses import PressPairs, PressSamples, pairs_from_samples
+from vntoolkit.spread import robust_deviation
+from vntoolkit.tactile.presses import CONTACT_SHARE, PressPairs, PressSamples, pairs_from_samples
 from vntoolkit.tactile.response import (
     correction_terms,
     first_estimate,
@@ -40,6 +41,7 @@ from vntoolkit.tactile.response import (
 
 logger = logging.getLogger(__name__)
 _ROUNDS = 30
+_OUTLIER_SIGMAS = 4.0  # robust standard deviations of the colour residual: beyond are dots and creases
 _PAIRS = 24_000  # more refine nothing
 _PAIRS_OF_OFFSET = 6_000
 _OFFSET_ROUNDS = 20
@@ -111,7 +113,7 @@ def _moved_to_dent(
 ) -> FloatArray:
     """Where the response sees the ball of a press, as an offset (2,) from its label."""
     offsets = part.offsets_px(offset_px)
-    touched = np.linalg.norm(offsets, axis=1) < options.contact_share * part.press.radius_px
+    touched = np.linalg.norm(offsets, axis=1) < CONTACT_SHARE * part.press.radius_px
     if np.count_nonzero(touched) < _FEWEST_OF_CENTRE:
         return offset_px
     found = normals_from_change(part.rgb[touched], part.positions_px[touched], fit.response, fit.gel)
@@ -238,7 +240,7 @@ def _fit_matrix(pairs: PressPairs, level: Vector3, options: PressOptions) -> Lig
                 "deeper, and all over the gel"
             )
         residuals = np.linalg.norm(slopes @ columns - colours, axis=1)
-        update = residuals <= options.outlier_sigmas * 1.4826 * float(np.median(residuals))
+        update = residuals <= _OUTLIER_SIGMAS * robust_deviation(residuals)
         if np.array_equal(update, chosen):
             break
         chosen = update

@@ -17,6 +17,7 @@ from vntoolkit.geometry.maps import NOISE_CELL_PX, NormalMap
 from vntoolkit.native import njit
 from vntoolkit.photometry.gel import GelResponse
 from vntoolkit.photometry.response import LightResponse
+from vntoolkit.spread import MEDIAN_TO_DEVIATION, NINE_OF_TEN_IN_PLANE, robust_deviation
 from vntoolkit.tactile.response import STEEPEST
 
 _VOTES = 1200  # pixels that the drift is fitted to, evenly spread
@@ -24,7 +25,6 @@ _ROUNDS = 6
 _LEAST_NOISE = 0.004  # of full scale: one grey level of 8 bits; smaller residuals are no evidence
 _TILTS = 4096  # steps of the cosine in the table of errors
 _LEAST_FACING = 0.1
-_NINE_OF_TEN = 2.146  # √(2 ln 10) standard deviations hold nine of ten angles of a normal distribution
 _DRIFT_TERMS = 6  # of a quadratic of the place
 
 
@@ -102,7 +102,7 @@ def _noise_deg(normals: Array) -> float:
     p = x[rows + 1] / z[rows + 1] - x[rows - 1] / z[rows - 1]
     q = y[rows] / z[rows]
     curl = 0.5 * (p[:, 1:-1] - (q[:, 2:] - q[:, :-2]))
-    return _NINE_OF_TEN * float(np.degrees(1.4826 * np.median(np.abs(curl))))
+    return NINE_OF_TEN_IN_PLANE * float(np.degrees(robust_deviation(curl)))
 
 
 class _Model(NamedTuple):
@@ -267,7 +267,7 @@ def _fit_drift(values: Array, positions: Array, least_noise: float) -> Array:
             normal[i, i] += 1e-9 * count
         drift = np.linalg.solve(normal, right)
         _measure(values, positions, drift, residual)
-        scale = 2.0 * max(1.4826 * np.median(residual[::2]), least_noise)
+        scale = 2.0 * max(MEDIAN_TO_DEVIATION * np.median(residual[::2]), least_noise)
         weight = 1.0 / (1.0 + (residual / scale) ** 2) ** 2
     return drift
 

@@ -31,6 +31,7 @@ from vntoolkit.arrays import (
     Mask,
     Points2,
 )
+from vntoolkit.spread import NINE_OF_TEN_IN_PLANE
 from vntoolkit.tactile.dots import BLACK, closed, window_of
 
 _ACROSS = 16  # points over the shorter side of a gel without dots, as many as sensors print dots
@@ -42,7 +43,6 @@ _LEAST_EIGENVALUE = 1e-5
 _REACH = 0.5  # standard deviation of the weights, of the points' distance: at a point its own counts most
 _CELLS = 3  # over the distance of points: the motion is fitted so densely, then enlarged
 _STIFFNESS = 1e-3  # of an affine motion against a translation, where points lie on one line
-_NINE_OF_TEN = 2.146  # √(2 ln 10) standard deviations hold nine of ten lengths in the plane
 _MEAN_OF_CHANNELS = np.full((1, 3), 1 / 3, np.float32)
 _FEWEST = 3  # points of an affine motion
 
@@ -103,8 +103,8 @@ class Membrane:
         window = (_DOT_WINDOW if self._has_dots else _TEXTURE_WINDOW) * self.spacing_px
         self._reach_px = _REACH * self.spacing_px
         self._window = 2 * int(min(window, *untouched.shape[:2]) / 2) + 1
-        room = np.minimum(places, np.array(untouched.shape[1::-1]) - 1 - places).min(axis=1)
-        self.rest_px = places[room >= self._window / 2]
+        margin = np.minimum(places, np.array(untouched.shape[1::-1]) - 1 - places).min(axis=1)
+        self.rest_px = places[margin >= self._window / 2]
         self._patterns = self._patterns_at(self._rest, self.rest_px)
         self._others = _weights(self.rest_px, self.rest_px, self._reach_px)  # of each, without its own
         np.fill_diagonal(self._others, 0.0)
@@ -175,18 +175,18 @@ class Membrane:
         found = (status[:, 0] > 0) & (changed < contrast)
         displacement = moved - rest
         weights, terms = self._others, _terms(rest, displacement, self._reach_px)
-        told, _ = _affine_fit((weights * found) @ terms, rest, self._reach_px)
+        fitted, _ = _affine_fit((weights * found) @ terms, rest, self._reach_px)
         # a point further off than half the way to the next is the next
-        found &= np.linalg.norm(displacement - told, axis=1) < self.spacing_px / 2
-        told, _ = _affine_fit((weights * found) @ terms, rest, self._reach_px)
-        squared = np.where(found, ((displacement - told) ** 2).sum(axis=1), 0.0)
+        found &= np.linalg.norm(displacement - fitted, axis=1) < self.spacing_px / 2
+        fitted, _ = _affine_fit((weights * found) @ terms, rest, self._reach_px)
+        squared = np.where(found, ((displacement - fitted) ** 2).sum(axis=1), 0.0)
         share = weights + np.eye(len(rest))
         variance = share @ squared / np.maximum(share @ found.astype(np.float64), 1e-9) / 2.0
         return MembraneMotion(
             rest_px=rest,
-            displacement_px=np.where(found[:, None], displacement, told),
+            displacement_px=np.where(found[:, None], displacement, fitted),
             found=found,
-            error_px=_NINE_OF_TEN * np.sqrt(variance),
+            error_px=NINE_OF_TEN_IN_PLANE * np.sqrt(variance),
         )
 
     @cached_property

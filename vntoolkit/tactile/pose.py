@@ -26,6 +26,7 @@ from scipy.linalg import eigh
 from vntoolkit.arrays import Array, FloatArray, Mask, Normals, Points, Vector3
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.rigid import RigidTransform
+from vntoolkit.spread import NINE_OF_TEN_IN_PLANE, NINE_OF_TEN_IN_SPACE
 
 _SAMPLES = 1500  # pixels of a keyframe's contact: more refine nothing
 _STEPS, _SETTLED = 20, 1e-3  # Gauss–Newton steps; share of the misfit that the last of them takes off
@@ -38,7 +39,6 @@ _RELIABLE = 0.5  # share of a direction's information that two frames agree on: 
 _SOFT = 2.0  # standard deviations beyond which residuals count less (Cauchy's weight)
 _LEAST_NOISE = 1e-3  # of a normal: single precision and bytes leave no less
 _HERE = np.zeros(3)
-_NINE_OF_TEN = {2: 2.146, 3: 2.5}  # standard deviations that hold nine of ten lengths in plane and space
 
 
 class Touched(Protocol):
@@ -135,7 +135,7 @@ class ObjectPose:
         view = _view(touch)
         if len(np.unique(_blocks_of(*np.nonzero(view.contact)))) < _FEWEST_BLOCKS:
             self._before = None
-            return self._told(lost=True)
+            return self._result(lost=True)
         if self._before is None:
             return self._begun(view)
         shared = [self._shared_now(key, view) for key in self._keyframes]
@@ -147,13 +147,14 @@ class ObjectPose:
         if shared[chosen] < _SHARED:
             return self._begun(view, lost=True)
         depth_error = 0.0 if touch.error_mm is None else float(np.median(touch.error_mm[view.contact]))
-        aligned = self._aligned(key, view, self._pose @ key.pose.inverse(), depth_error / _NINE_OF_TEN[2])
+        start, deviation = self._pose @ key.pose.inverse(), depth_error / NINE_OF_TEN_IN_PLANE
+        aligned = self._aligned(key, view, start, deviation)
         if aligned is None:
             return self._begun(view, lost=True)
         self._pose = aligned.now_from_key @ key.pose
         covariance = key.covariance + aligned.covariance
         self._before = self._keyframe(view, covariance)
-        return self._told(
+        return self._result(
             covariance=covariance,
             unobservable=aligned.unobservable,
             information=aligned.information,
@@ -166,9 +167,9 @@ class ObjectPose:
         self._pose = RigidTransform()
         self._before = self._keyframe(view, np.zeros((6, 6)))
         self._keyframes = [self._before]
-        return self._told(lost=lost)
+        return self._result(lost=lost)
 
-    def _told(
+    def _result(
         self,
         *,
         lost: bool = False,
@@ -180,7 +181,7 @@ class ObjectPose:
         error = np.full(2, np.inf) if lost else np.zeros(2)
         if covariance is not None:
             turn, shift = covariance[:3, :3].trace(), covariance[3:, 3:].trace()
-            error = _NINE_OF_TEN[3] / np.sqrt(3.0) * np.sqrt(np.array([turn, shift]))
+            error = NINE_OF_TEN_IN_SPACE / np.sqrt(3.0) * np.sqrt(np.array([turn, shift]))
         return TrackedPose(
             now_from_first=self._pose,
             contact=self._contacts,

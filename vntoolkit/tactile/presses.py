@@ -15,8 +15,10 @@ from vntoolkit.errors import BadCalibration
 from vntoolkit.options.calibration import PressOptions
 from vntoolkit.tactile.circles import Press
 
+_SAMPLES = 400  # pixels drawn from a press's contact
 _UNTOUCHED_RADII = 3.3  # of the labelled contact: beyond it the gel lies flat, by half a radius to spare
 _FLAT_RADII = 2.8  # of the contact where it really is, which may be half a radius from its label
+CONTACT_SHARE = 0.8  # of the labelled contact radius, inside which the gel follows the ball
 _FLAT_SHARE = 0.67  # of the contact's pixels are drawn where the gel is flat; more make the ball less round
 _DRAWN_RADII = 1.25  # of the labelled contact: room for labels that lie beside the dent
 
@@ -59,7 +61,9 @@ class PressPairs:
         return PressPairs(**{name: values[::step] for name, values in vars(self).items()})
 
 
-def normals_of_press(press: Press, options: PressOptions, shape: tuple[int, int]) -> tuple[Points, Mask]:
+def normals_of_press(
+    press: Press, options: PressOptions, shape: tuple[int, int], share: float = CONTACT_SHARE
+) -> tuple[Points, Mask]:
     """Normals (h, w, 3), camera frame, and the mask of the contact. Raises where the contact is too wide."""
     v, u = np.indices(shape)
     offset_mm = np.stack([u - press.u_px, v - press.v_px], axis=-1) * options.side_mm
@@ -70,7 +74,7 @@ def normals_of_press(press: Press, options: PressOptions, shape: tuple[int, int]
             f"calibrate presses: a contact circle of {contact_mm:.2f} mm is not narrower than the ball of "
             f"{options.ball_radius_mm:g} mm radius; check --ball-radius-mm and --pixel-mm"
         )
-    inside = distance < options.contact_share * contact_mm
+    inside = distance < share * contact_mm
     height = np.sqrt(np.maximum(options.ball_radius_mm**2 - distance**2, 0))
     normals = np.concatenate([offset_mm, -height[..., None]], axis=-1) / options.ball_radius_mm
     return normals, inside
@@ -95,9 +99,9 @@ def samples_from_press(
     normals_of_press(press, options, shape)  # refuses a contact that the ball cannot have
     v, u = np.indices(shape)
     distance = np.hypot(u - press.u_px, v - press.v_px)
-    contact = _draw((distance < _DRAWN_RADII * press.radius_px) & usable, 2 * options.samples, rng)
+    contact = _draw((distance < _DRAWN_RADII * press.radius_px) & usable, 2 * _SAMPLES, rng)
     flat = (distance > _UNTOUCHED_RADII * press.radius_px) & usable
-    chosen = np.concatenate([contact, _draw(flat, round(_FLAT_SHARE * options.samples), rng)])
+    chosen = np.concatenate([contact, _draw(flat, round(_FLAT_SHARE * _SAMPLES), rng)])
     rows, columns = np.divmod(chosen, shape[1])
     return PressSamples(
         rgb=change[rows, columns].astype(np.float64),
@@ -126,7 +130,7 @@ def pairs_from_samples(
     for number, part in enumerate(samples):
         offsets = part.offsets_px(own[number])
         distance = np.linalg.norm(offsets, axis=1)
-        touched = distance < options.contact_share * part.press.radius_px
+        touched = distance < CONTACT_SHARE * part.press.radius_px
         xy = np.where(touched[:, None], offsets * options.side_mm / part.ball_radius_mm, 0.0)
         normals = np.column_stack([xy, -np.sqrt(np.maximum(1.0 - (xy**2).sum(axis=1), 0.0))])
         used = touched | (distance > _FLAT_RADII * part.press.radius_px)

@@ -102,8 +102,8 @@ class LatticeSolution:
         self, right_hand_side: FloatArray, steps: FloatArray
     ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
         (e, m), n = self._differences.shape, steps.shape[2]
-        pulled = self._differences.T @ (self._weight * steps).reshape(e, 2 * n)
-        right = right_hand_side + pulled.reshape(right_hand_side.shape)
+        of_edges = self._differences.T @ (self._weight * steps).reshape(e, 2 * n)
+        right = right_hand_side + of_edges.reshape(right_hand_side.shape)
         by_direction = np.moveaxis(right, 1, 0).reshape(2 * m, n)
         flat = np.moveaxis(self._factor.solve(by_direction).reshape(2, m, n), 0, 1)
         along = (self._differences @ flat.reshape(m, 2 * n)).reshape(steps.shape)

@@ -52,13 +52,13 @@ class Outline:
     """Compares the border of one template with the outline of a figure."""
 
     def __init__(
-        self, template: TrackingTemplate, lattice: TemplateLattice, figure: npt.NDArray[np.float32]
+        self, template: TrackingTemplate, lattice: TemplateLattice, silhouette: npt.NDArray[np.float32]
     ) -> None:
-        """Find the border; figure: (h, w, 4) of the template's frame, as `outline_of_figure` returns it."""
+        """Find the border. silhouette: (h, w, 4), `outline_of_silhouette` of the template's frame."""
         self._lattice, self._pixels = lattice, template.positions_px
-        at = sample_image(figure, self._pixels)
+        at = sample_image(silhouette, self._pixels)
         border = np.flatnonzero(at[:, 0] > -_BAND_PX)
-        h, w = figure.shape[:2]
+        h, w = silhouette.shape[:2]
         p = self._pixels[border]
         inside = np.all((p >= _BORDER_PX) & (p <= [w - 1 - _BORDER_PX, h - 1 - _BORDER_PX]), axis=1)
         self._border = border[inside]
@@ -120,16 +120,16 @@ class Outline:
         return Factor(sums[:, :3], sums[:, 3:], np.zeros(count))
 
 
-def outline_of_figure(mask: Mask, slopes: Slopes) -> npt.NDArray[np.float32]:
+def outline_of_silhouette(mask: Mask, slopes: Slopes) -> npt.NDArray[np.float32]:
     """(h, w, 4): signed distance, its gradient, and openness, of one frame."""
     distance = signed_distance(mask)
     down, right = np.gradient(cv2.GaussianBlur(distance, (0, 0), 2.0))
     length = np.maximum(np.hypot(right, down), np.float32(1e-6))
     smooth = cv2.GaussianBlur(distance, (0, 0), 1.0)
-    figure = cv2.merge([smooth, right / length, down / length, np.zeros_like(smooth)])
+    silhouette = cv2.merge([smooth, right / length, down / length, np.zeros_like(smooth)])
     box = _around(mask)
-    figure[(*box, 3)] = _openness(slopes[box])
-    return np.asarray(figure, np.float32)
+    silhouette[(*box, 3)] = _openness(slopes[box])
+    return np.asarray(silhouette, np.float32)
 
 
 def _openness(slopes: Slopes) -> npt.NDArray[np.float32]:
@@ -143,9 +143,9 @@ def _openness(slopes: Slopes) -> npt.NDArray[np.float32]:
     return np.asarray(known * np.clip((facing - low) / (high - low), 0.0, 1.0), np.float32)
 
 
-def contour_distance(figure: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+def contour_distance(silhouette: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
     """(h, w) distance in pixels from the nearest occluding contour on the outline (h, w, 4) of a figure."""
-    contour = (np.abs(figure[..., 0]) < 1.0) & (figure[..., 3] < _HALF_OPEN)
+    contour = (np.abs(silhouette[..., 0]) < 1.0) & (silhouette[..., 3] < _HALF_OPEN)
     if not contour.any():
         return np.full(contour.shape, np.inf, np.float32)
     return np.asarray(cv2.distanceTransform((~contour).astype(np.uint8), cv2.DIST_L2, 5), np.float32)

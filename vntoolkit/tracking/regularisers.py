@@ -13,18 +13,12 @@ from vntoolkit.libraries import import_open3d
 from vntoolkit.tracking.lattice_system import factored
 from vntoolkit.tracking.template import TrackingTemplate
 
+PAPERS_DATA_SHARE = 0.9  # α, of the translation method
+# β, 1/edge². L has no unit on unit weights: edges count 1 whatever their length. The filter on a wave of k
+# radians per edge is β² / (k⁴ + β²): all but waves of some 200 edges and more are rigid.
+PAPERS_BETA = 1e-3
 _ARAP_ITERATIONS = 5
 _HANDLE_SPACING_PX = 8  # of the vertices that ARAP is told where to go
-
-
-def beta_from_smoothing_length(length_in_edges: float) -> float:
-    """Return β (1/edge²) that smooths over `length_in_edges`: β = 1.5 / length².
-
-    L has no unit on unit weights (edges count 1 whatever their length), so β is free of the mesh's scale.
-    The filter on a wave of k radians per edge is β² / (k⁴ + β²): half at a wavelength of 5.1 lengths. The
-    paper's β = 1e-3 is a length of 39 edges, under which all but the longest waves are rigid.
-    """
-    return 1.5 / max(length_in_edges, 1e-3) ** 2
 
 
 class LaplacianRegulariser:

@@ -30,7 +30,7 @@ from vntoolkit.tracking.outline import (
     depth_steps,
     edges_beside,
     occluding_contours,
-    outline_of_figure,
+    outline_of_silhouette,
 )
 from vntoolkit.tracking.paint import Paint, PaintImage, paint_image
 from vntoolkit.tracking.registration import Registration, TemplateRegistration
@@ -277,7 +277,7 @@ def _view(
     normal_map: NormalMap, camera: Camera, labels: VisibilityLabels | None, paint: Paint | None
 ) -> _View:
     slopes = slopes_from_normals(normal_map, camera)
-    outline = outline_of_figure(normal_map.mask, slopes)
+    outline = outline_of_silhouette(normal_map.mask, slopes)
     contours = occluding_contours(slopes, normal_map.mask)
     relief = relief_slopes(slopes, normal_map, labels, contour_distance(outline), contours)
     return _View(slopes, outline, relief, None if paint is None else paint_image(paint, relief), contours)
@@ -291,8 +291,8 @@ def _misfit(positions_px: Points2, mask: Mask) -> float:
     covered: Mask = np.zeros((height, width), np.bool_)
     covered[v[inside], u[inside]] = True
     middle = _CELL_PX // 2
-    figure = mask[middle::_CELL_PX, middle::_CELL_PX][:height, :width]
-    return float(np.count_nonzero(covered != figure) / max(int(np.count_nonzero(figure)), 1))
+    silhouette = mask[middle::_CELL_PX, middle::_CELL_PX][:height, :width]
+    return float(np.count_nonzero(covered != silhouette) / max(int(np.count_nonzero(silhouette)), 1))
 
 
 def _inverse(around: FloatArray) -> npt.NDArray[np.float64]:

@@ -24,10 +24,11 @@ from vntoolkit.tracking.flow import (
 )
 from vntoolkit.tracking.paint import Paint
 from vntoolkit.tracking.regularisers import (
+    PAPERS_BETA,
+    PAPERS_DATA_SHARE,
     ArapRegulariser,
     LaplacianRegulariser,
     TranslationRegulariser,
-    beta_from_smoothing_length,
 )
 from vntoolkit.tracking.running_template import RunningTemplate
 from vntoolkit.tracking.surface_fit import SurfaceFit
@@ -184,7 +185,7 @@ def _solver(template: TrackingTemplate, options: TrackingOptions) -> Solver | No
     count = len(template.pixels)
     match options.method:
         case Tracker.TRANSLATION:
-            return TranslationRegulariser(template.edges, count, options.data_share)
+            return TranslationRegulariser(template.edges, count, PAPERS_DATA_SHARE)
         case Tracker.ARAP:
             return ArapRegulariser(template)
         case Tracker.LAPLACIAN | Tracker.LAPLACIAN_PREVIOUS:
@@ -193,4 +194,4 @@ def _solver(template: TrackingTemplate, options: TrackingOptions) -> Solver | No
             laplacian = cotangent_laplacian(template.vertices_in_camera, template.faces)
         case _:
             return None
-    return LaplacianRegulariser(laplacian, beta_from_smoothing_length(options.smoothing_length))
+    return LaplacianRegulariser(laplacian, PAPERS_BETA)

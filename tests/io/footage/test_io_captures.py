@@ -22,20 +22,14 @@ from vntoolkit.photometry.transfer import (
 )
 
 
-def _frames(rng, count=12, dtype=np.uint8, size=(36, 48)):
-    return [
-        rng.integers(0, np.iinfo(dtype).max, (*size, 3), dtype=dtype, endpoint=True) for _ in range(count)
-    ]
+def _frames(rng, count=12, dtype=np.uint8):
+    return list(rng.integers(0, np.iinfo(dtype).max, (count, 36, 48, 3), dtype=dtype, endpoint=True))
 
 
 @pytest.mark.parametrize(("dtype", "bits"), [(np.uint8, 8), (np.uint16, 16)])
 def test_video_is_lossless_and_reads_from_any_frame(tmp_path, rng, dtype, bits):
     frames = _frames(rng, dtype=dtype)
     assert write_video(tmp_path / "a.mkv", iter(frames), 29.97) == 12
-    for size in ((1, 1), (40, 1), (1, 40), (3, 5)):
-        narrow = _frames(rng, 2, dtype, size)
-        write_video(tmp_path / "narrow.mkv", narrow, 25)
-        np.testing.assert_array_equal(open_capture(tmp_path / "narrow.mkv").encoded(1).values, narrow[1])
     capture = open_capture(tmp_path / "a.mkv")
     info = capture.info
     assert (info.kind, info.width, info.height, info.frame_count, info.bits) == (

@@ -17,7 +17,7 @@ def _noise(rng, count, height, width, dtype=np.uint8):
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
-@pytest.mark.parametrize("size", [(1, 1), (3, 5), (5, 3), (1, 64), (7, 9)])
+@pytest.mark.parametrize("size", [(1, 1), (3, 5), (5, 3), (1, 64), (40, 1), (7, 9)])
 def test_small_and_odd_pictures_are_lossless(tmp_path, rng, size, dtype):
     frames = _noise(rng, 3, *size, dtype)
     write_video(tmp_path / "a.mkv", frames, 25)

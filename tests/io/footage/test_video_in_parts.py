@@ -9,7 +9,8 @@ import pytest
 from tests.io.footage.test_stated_facts import film
 from vntoolkit.io.footage import video
 from vntoolkit.io.footage.captures import open_capture
-from vntoolkit.io.footage.video import VideoReader, index_of_stream, write_video
+from vntoolkit.io.footage.video import VideoReader, write_video
+from vntoolkit.io.footage.video_index import index_of_stream
 
 _COUNT = 40
 

@@ -99,7 +99,7 @@ def _agreeing(
     design: Design, usable: BoolArray, steps: HeadSteps, rng: np.random.Generator
 ) -> tuple[FloatArray, BoolArray]:
     try:
-        unknowns, inliers = fit_by_msac(design, usable, steps.light_draws, steps.light_inlier, rng)
+        unknowns, inliers = fit_by_msac(design, usable, rng, steps.light_draws, steps.light_inlier)
         share = float(inliers.mean())
     except BadCalibration:  # no three samples determine a response
         share = 0.0

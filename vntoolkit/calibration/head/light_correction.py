@@ -21,6 +21,7 @@ from vntoolkit.calibration.head.skin import (
 )
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.photometry.response import LightResponse
+from vntoolkit.spread import robust_deviation
 
 _ROBUST_ROUNDS = 6
 # M's scale is open, and stays as it is
@@ -69,7 +70,7 @@ def corrected_light(
     step = np.zeros(_FREE.shape[1])
     for _ in range(_ROBUST_ROUNDS):
         off = moved + patterns @ step
-        noise = 1.4826 * float(np.median(np.abs(off[skin.known])))
+        noise = robust_deviation(off[skin.known])
         weight = share / (1.0 + np.square(off / (2.0 * noise))) ** 2 / noise**2
         weighted = patterns * weight[:, None]
         system = agreement + patterns.T @ weighted

@@ -5,7 +5,6 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import cg, splu
 
 from vntoolkit.arrays import Faces, FloatArray, Points
-from vntoolkit.calibration.head.rims import RimTargets
 from vntoolkit.calibration.head.skin import SkinNormals
 from vntoolkit.errors import SolverFailed
 from vntoolkit.geometry.mesh import Mesh, edge_cotangents, face_normals, vertex_normals
@@ -52,14 +51,14 @@ class PositionSolver:
         self._own, self._target = own, stereo
         self._move_along(own)
 
-    def add_contours(self, rims: RimTargets, density: float) -> None:
-        """Let contours tell the places of vertices, too. density: of stereo's noise, as `NoiseLevels` has it.
+    def add_contours(self, places: Points, certainty: FloatArray, density: float) -> None:
+        """Let contours tell the places (n, 3) of vertices, too, each by its 1 / variance (n,).
 
-        Stereo counts by a vertex's area over the density, contours by 1 / variance, in the same unit.
+        density: of stereo's noise, as of `measured_noise`; stereo counts by a vertex's area over it.
         """
-        weight = self._stiffness * density * rims.weight
+        weight = self._stiffness * density * certainty
         total = np.maximum(self._anchor + weight, _TINY)[:, None]
-        self._target = (self._anchor[:, None] * self.stereo + weight[:, None] * rims.places) / total
+        self._target = (self._anchor[:, None] * self.stereo + weight[:, None] * places) / total
         self._anchor = self._anchor + weight
         self._move_along(self._own)
 
@@ -87,7 +86,7 @@ class PositionSolver:
     def spread(self, surface: Mesh, density: float, shared: float, rng: np.random.Generator) -> FloatArray:
         """Return the standard deviation (n,) of positions, by stereo's noise and shared errors of normals.
 
-        density, shared: as `NoiseLevels` has them. Noise is drawn. Shared errors of unknown pattern turn all
+        density, shared: as of `measured_noise`. Noise is drawn. Shared errors of unknown pattern turn all
         normals n by E n, for every entry of E.
         """
         assert surface.normals is not None

@@ -25,7 +25,6 @@ from vntoolkit.calibration.head.shape_noise import (
     LEAST_SEEN,
     PATCH_PX,
     SHARED_NOISE,
-    NoiseLevels,
     mean_edge,
     measured_noise,
     patches_of,
@@ -35,6 +34,7 @@ from vntoolkit.geometry.mesh import Mesh, vertex_normals
 from vntoolkit.geometry.rays import RayScene
 from vntoolkit.options.head import HeadSteps
 from vntoolkit.photometry.response import LightResponse
+from vntoolkit.spread import NINE_OF_TEN_IN_PLANE
 
 _ROUNDS, _PASSES = 6, 2  # colours are taken anew in so many: later, vertices hardly move
 _CONVERGED = 0.002  # change of M, as a share, that ends the rounds
@@ -46,7 +46,6 @@ _MOST_VERTICES = 300_000
 _CROSSOVER_PX, _CROSSOVER_NOISE = 200.0, 0.02
 _LARGEST_CROSSOVER = 1.0 / 3.0  # of the mesh's diagonal: M is fitted to what longer waves say
 _LEAST_PATCH = 0.1  # of its side squared: less is a sliver
-_NINE_OF_TEN = 2.146  # standard deviations of a component that hold nine of ten directions
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -99,9 +98,9 @@ def refine_head(
         progress.step()
         if changes[-1] < _CONVERGED:
             break
-    levels = measured_noise(surface, stereo.vertices, skin, pixel)
-    spread = solver.spread(surface, levels.stereo, levels.shared, rng)
-    fine, colours, skin = _refined_finely(shape, surface, camera, frames, lit, levels, crossover, pixel)
+    density, shared = measured_noise(surface, stereo.vertices, skin, pixel)
+    spread = solver.spread(surface, density, shared, rng)
+    fine, colours, skin = _refined_finely(shape, surface, camera, frames, lit, density, crossover, pixel)
     samples = patch_samples(fine, camera, colours, skin, PATCH_PX * pixel)
     return RefinedHead(
         mesh=replace(fine, colours=_skin_colour(skin, lit.response), error_deg=_expected_error_deg(skin)),
@@ -118,7 +117,7 @@ def _refined_finely(
     camera: Camera,
     frames: Callable[[], Iterable[LightFrame]],
     lit: skins.SkinLight,
-    levels: NoiseLevels,
+    density: float,
     crossover: float,
     pixel: float,
 ) -> tuple[Mesh, SkinColours, skins.SkinNormals]:
@@ -134,7 +133,7 @@ def _refined_finely(
         skin,
         crossover * _CROSSOVER_NOISE / LEAST_NOISE,  # errors as they are measured make it shorter
     )
-    solver.add_contours(rim_targets(placed, camera, frames(), lit.response), levels.stereo)
+    solver.add_contours(*rim_targets(placed, camera, frames(), lit.response), density)
     return stereo.with_vertices(solver.positions()), colours, skin
 
 
@@ -205,4 +204,4 @@ def _skin_colour(skin: skins.SkinNormals, response: LightResponse) -> FloatArray
 
 def _expected_error_deg(skin: skins.SkinNormals) -> FloatArray:
     noise = np.where(np.isfinite(skin.noise), np.hypot(skin.noise, SHARED_NOISE), UNKNOWN_NOISE)
-    return np.rad2deg(_NINE_OF_TEN * noise).astype(np.float32)
+    return np.rad2deg(NINE_OF_TEN_IN_PLANE * noise).astype(np.float32)

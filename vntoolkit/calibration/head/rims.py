@@ -6,7 +6,6 @@ head sweeps the rim over most of its sides.
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -28,21 +27,14 @@ _BEHIND_PX = 0.1  # a rim so much farther inside than another beside it is hidde
 _TINY = 1e-30
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class RimTargets:
-    """Where contours want the vertices of a mesh. places: (n, 3). weight: (n,) 1 / variance, 0 off rims."""
-
-    places: Points
-    weight: FloatArray
-
-
 def rim_targets(
     mesh: Mesh, camera: Camera, frames: Iterable[LightFrame], response: LightResponse
-) -> RimTargets:
+) -> tuple[Points, FloatArray]:
     """Compare the rims of a mesh (head frame, with normals) with the contours of all frames.
 
-    A contour counts as much as the brightness rises there: before dark hair it is uncertain by more. Where no
-    lamp of M reaches the rim, light ends before the surface does.
+    Returns where contours want its vertices (n, 3), and 1 / variance (n,), 0 off rims. A contour counts as
+    much as the brightness rises there: before dark hair it is uncertain by more. Where no lamp of M reaches
+    the rim, light ends before the surface does.
     """
     assert mesh.normals is not None
     edges = _edges(mesh.faces)
@@ -50,13 +42,13 @@ def rim_targets(
     vertex, share, off, slope, unit = (np.concatenate(column) for column in zip(*rims, strict=True))
     count = len(mesh.vertices)
     if not len(vertex):
-        return RimTargets(places=mesh.vertices, weight=np.zeros(count))
+        return mesh.vertices, np.zeros(count)
     typical = float(np.median(slope))
     blunt = typical / np.maximum(slope, _LEAST_SLOPE * typical)
     variance = _ALIKE_PX * np.square(_NOISE_PX * np.maximum(blunt, 1.0) * unit)
     weight = np.asarray(np.bincount(vertex, share / variance, count), np.float64)
     moved = np.bincount(vertex, share / variance * off * unit, count) / np.maximum(weight, _TINY)
-    return RimTargets(places=mesh.vertices + moved[:, None] * mesh.normals, weight=weight)
+    return mesh.vertices + moved[:, None] * mesh.normals, weight
 
 
 def _edges(faces: Faces) -> IntArray:

@@ -1,7 +1,5 @@
 """How sure the positions of stereo and the normals of the skin are, measured on the head itself."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from vntoolkit.arrays import FloatArray, IntArray, Points
@@ -15,23 +13,12 @@ LEAST_SEEN = 0.5  # of a patch's area, in a frame
 _MEDIAN_OF_ONE, _MEDIAN_OF_TWO = 0.455, 0.693  # of χ² with so many components, over its mean
 
 
-@dataclass(frozen=True, kw_only=True)
-class NoiseLevels:
-    """How sure stereo and normals are.
+def measured_noise(mesh: Mesh, stereo: Points, skin: SkinNormals, pixel: float) -> tuple[float, float]:
+    """Measure on the refined mesh how sure stereo and normals are: density and shared error.
 
-    stereo: density of stereo's noise, its variance times the area over which it is the same, length units⁴.
-    shared: error in radians that the normals of a region share.
-    """
-
-    stereo: float
-    shared: float
-
-
-def measured_noise(mesh: Mesh, stereo: Points, skin: SkinNormals, pixel: float) -> NoiseLevels:
-    """Measure both on the refined mesh.
-
-    What patches of skin were moved by is stereo's noise. What the mean of their normals still turns from the
-    mesh's is the shared error.
+    What patches of skin were moved by is stereo's noise; its density is the variance times the area over
+    which it is the same, length units⁴. What the mean of their normals still turns from the mesh's is the
+    error, in radians, that normals of a region share.
     """
     assert mesh.normals is not None
     area = np.where(np.isfinite(skin.noise), areas(stereo, mesh.faces), 0.0)
@@ -47,7 +34,7 @@ def measured_noise(mesh: Mesh, stereo: Points, skin: SkinNormals, pixel: float) 
     side = PATCH_PX * pixel
     density = mean_square(moved[:, None], side) / _MEDIAN_OF_ONE * side**2
     shared = mean_square(skin.normals - mesh.normals, 3.0 * side) / _MEDIAN_OF_TWO
-    return NoiseLevels(stereo=density, shared=float(np.sqrt(max(shared, SHARED_NOISE**2))))
+    return density, float(np.sqrt(max(shared, SHARED_NOISE**2)))
 
 
 def patches_of(mesh: Mesh, side: float) -> tuple[IntArray, IntArray]:

@@ -9,6 +9,7 @@ import numpy as np
 
 from vntoolkit.arrays import ByteArray, FloatArray, LinearImage, Mask
 from vntoolkit.errors import BadCalibration
+from vntoolkit.spread import robust_deviation
 
 logger = logging.getLogger(__name__)
 _SIGMAS = 6.0  # of the background's noise
@@ -136,7 +137,7 @@ def _level_and_threshold(grey: FloatArray) -> tuple[float, float, float]:
     rim = max(2, round(0.02 * grey.shape[1]))
     border = np.concatenate([grey[:rim].ravel(), grey[:, :rim].ravel(), grey[:, -rim:].ravel()])
     level = float(np.median(border))
-    noise = 1.4826 * float(np.median(np.abs(border - level)))
+    noise = robust_deviation(border - level)
     rise = max(_SIGMAS * noise, _LEAST_RISE * (float(np.percentile(grey, 99)) - level), 1e-6)
     return level, noise, level + rise
 

@@ -112,14 +112,14 @@ class TrackBuilder:
         self._positions, self._points = there[kept], self._points[kept]
 
     def _seed(self, image: ByteArray, allowed: ByteArray) -> None:
-        room = self.steps.corners - len(self._positions)
-        if room <= 0:
+        missing = self.steps.corners - len(self._positions)
+        if missing <= 0:
             return
         free = allowed.copy()
         for u, v in np.round(self._positions).astype(int).tolist():
             cv2.circle(free, (u, v), round(self.steps.corner_spacing_px), 0, -1)
         corners = cv2.goodFeaturesToTrack(
-            image, room, _CORNER_QUALITY, self.steps.corner_spacing_px, mask=free
+            image, missing, _CORNER_QUALITY, self.steps.corner_spacing_px, mask=free
         )
         if corners is None:
             return

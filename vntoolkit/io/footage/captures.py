@@ -180,7 +180,9 @@ class Capture(Displayed):
         """
         FrameRange(start=start, stop=stop, step=step).numbers(self.info.frame_count)
         if self._reader is None:
-            yield from _frames_of_images(self.info, self.options, start, stop, step)
+            from vntoolkit.io.footage.image_sequence import frames_of_images
+
+            yield from frames_of_images(self.info, self.options, start, stop, step)
             return
         for number, values in self._reader.frames(start, stop, step):
             yield EncodedFrame(
@@ -274,14 +276,6 @@ def _video_reader(path: Path, options: CaptureOptions) -> "VideoReader":
         sensor=options.sensor,
         detail=detail,
     )
-
-
-def _frames_of_images(
-    info: CaptureInfo, options: CaptureOptions, start: int, stop: int | None, step: int
-) -> Iterator[EncodedFrame]:
-    from vntoolkit.io.footage.image_sequence import frames_of_images
-
-    return frames_of_images(info, options, start, stop, step)
 
 
 def _info_of_video(reader: "VideoReader", rate_hz: float | None) -> CaptureInfo:

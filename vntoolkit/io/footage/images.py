@@ -65,14 +65,12 @@ _DIAGONAL_MM = 43.27  # of 24×36 mm
 _JPEG_CHROMA = {(2, 2): "4:2:0", (2, 1): "4:2:2", (1, 2): "4:4:0", (4, 1): "4:1:1"}
 
 
-def read_image(
-    path: Path | str, *, max_megapixels: float | None = None, sensor: SensorOptions | None = None
-) -> Array:
+def read_image(path: Path | str) -> Array:
     """Read an image as (h, w, 3) RGB, encoded values as stored: uint8, uint16 or float32 (EXR, float TIFF).
 
     As `read_opaque_image`, whose pixels it returns.
     """
-    return read_opaque_image(path, max_megapixels=max_megapixels, sensor=sensor).rgb
+    return read_opaque_image(path).rgb
 
 
 def read_opaque_image(

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from vntoolkit.arrays import Array, ByteArray, Float32Array, Int64Array
+from vntoolkit.arrays import Array, ByteArray, Int64Array
 from vntoolkit.checks import checks_kinds
 from vntoolkit.errors import BadMesh, CannotWrite
 from vntoolkit.geometry.mesh import Mesh, face_normals, triangles_from_polygons
@@ -33,15 +33,24 @@ def write_mesh(
     value·255, without a curve. up: the axis that points up in the file; `read_mesh` expects y. material: of
     an OBJ, the name of an .mtl beside it that `write_material` wrote, instead of a texture.
     """
+    turned = _flip(mesh, up)
     match Path(path).suffix.lower():
         case ".ply":
             if texture is not None or material is not None:
                 raise CannotWrite(f"{path}: a PLY carries no texture; write .obj, or give vertex colours")
-            write_ply(path, _content(mesh, up), up.meaning)
+            content = PlyContent(
+                vertices=turned.vertices,
+                faces=turned.faces,
+                normals=turned.normals,
+                colours=bytes_from_colours(turned.colours),
+                uv=turned.uv,
+                quality=turned.error_deg,
+            )
+            write_ply(path, content, up.meaning)
         case ".obj":
-            write_obj(path, _flip(mesh, up), texture, up.meaning, material)
+            write_obj(path, turned, texture, up.meaning, material)
         case ".stl":
-            write_stl(path, _flip(mesh, up))
+            write_stl(path, turned)
         case suffix:
             raise CannotWrite(f"{path}: a mesh is written as .ply, .obj or .stl, not '{suffix}'")
 
@@ -56,12 +65,13 @@ def read_mesh(path: Path | str) -> Mesh:
         case ".ply":
             content = read_ply(path)
             if content.faces is None:
-                raise BadMesh(f"{path}: holds points but no faces; read it as a point cloud")
+                raise BadMesh(f"{path}: holds points but no faces, expected a mesh")
+            colours = content.colours
             mesh = Mesh(
                 vertices=content.vertices,
                 faces=content.faces,
                 normals=content.normals,
-                colours=_colours(content),
+                colours=None if colours is None else colours.astype(np.float32) / np.float32(255),
                 uv=content.uv,
                 error_deg=content.quality,
             )
@@ -84,34 +94,9 @@ def write_point_cloud(path: Path | str, cloud: PointCloud, *, up: MeshUpAxis = M
     write_ply(path, content)
 
 
-def read_point_cloud(path: Path | str) -> PointCloud:
-    """Read the vertices of a `.ply` into the camera frame; limits and errors as `read_mesh`."""
-    content = read_ply(require_mesh_file(path))
-    return PointCloud(
-        points=graphics_from_camera(content.vertices),
-        normals=None if content.normals is None else graphics_from_camera(content.normals),
-        colours=_colours(content),
-    )
-
-
 def _flip(mesh: Mesh, up: MeshUpAxis = MeshUpAxis.Y) -> Mesh:
     normals = None if mesh.normals is None else graphics_from_camera(mesh.normals, up)
     return replace(mesh, vertices=graphics_from_camera(mesh.vertices, up), normals=normals)
-
-
-def _content(mesh: Mesh, up: MeshUpAxis) -> PlyContent:
-    return PlyContent(
-        vertices=graphics_from_camera(mesh.vertices, up),
-        faces=mesh.faces,
-        normals=None if mesh.normals is None else graphics_from_camera(mesh.normals, up),
-        colours=bytes_from_colours(mesh.colours),
-        uv=mesh.uv,
-        quality=mesh.error_deg,
-    )
-
-
-def _colours(content: PlyContent) -> Float32Array | None:
-    return None if content.colours is None else content.colours.astype(np.float32) / np.float32(255)
 
 
 def write_obj(

@@ -297,12 +297,7 @@ def parse_ply_header(data: bytes, name: str, size: int) -> tuple[str, list[PlyEl
 
 
 def read_ply_counts(path: Path | str) -> dict[str, int]:
-    """Return {element: rows} that the header of a PLY promises; its rows are not read."""
+    """Return {element: rows} that the header of a PLY promises; its rows are not read. Raises `BadMesh`."""
     with opened(path, BadMesh) as stream:
-        lines = stream.read(_LONGEST_HEADER).split(b"end_header")[0].splitlines()
-    words = [line.split() for line in lines]
-    return {
-        w[1].decode("ascii", "replace"): int(w[2])
-        for w in words
-        if len(w) == 3 and w[0] == b"element" and w[2].isdigit()
-    }
+        data, size = stream.read(_LONGEST_HEADER), os.fstat(stream.fileno()).st_size
+    return {element.name: element.count for element in parse_ply_header(data, str(path), size)[1]}

@@ -108,7 +108,7 @@ class ClothSolver:
         self.hinges, self.stencils, areas = _hinges(garment)
         in_rib = garment.gather[self.hinges].mean(axis=1) < 1.0
         stiffness = _BENDING_STIFFNESS * np.where(in_rib, _RIB_STIFFENING, 1.0)
-        self.hinge_softness = areas / (6.0 * stiffness * self.step_s**2)
+        self.hinge_compliance = areas / (6.0 * stiffness * self.step_s**2)
         self._near_in_rest = _neighbourhood(garment.faces, count, rings=3)
 
     def draw_ribbing(self, share: float) -> None:
@@ -126,7 +126,7 @@ class ClothSolver:
         pairs = self._close_pairs()
         starts_step = (next_body.starts - body.starts) / _STEPS_PER_FRAME
         ends_step = (next_body.ends - body.ends) / _STEPS_PER_FRAME
-        softness = _STRETCH_COMPLIANCE / self.step_s**2
+        compliance = _STRETCH_COMPLIANCE / self.step_s**2
         for step in range(1, _STEPS_PER_FRAME + 1):
             share = step / _STEPS_PER_FRAME
             starts, ends = body.starts + step * starts_step, body.ends + step * ends_step
@@ -135,8 +135,8 @@ class ClothSolver:
             v[:, 1] -= gravity * _GRAVITY * self.step_s
             before = x.copy()
             x += self.step_s * v
-            project_edges(x, self.edges, self.rest_lengths, self.inverse_mass, softness)
-            project_hinges(x, self.hinges, self.stencils, self.hinge_softness, self.inverse_mass)
+            project_edges(x, self.edges, self.rest_lengths, self.inverse_mass, compliance)
+            project_hinges(x, self.hinges, self.stencils, self.hinge_compliance, self.inverse_mass)
             separate_pairs(x, pairs, self.thickness_m)
             collide(x, before, starts, ends, radii, starts_step, ends_step, _BODY_MARGIN_M, _BODY_FRICTION)
             v[:] = (x - before) / self.step_s
@@ -207,27 +207,29 @@ def _neighbourhood(faces: Faces, count: int, rings: int) -> IntArray:
 
 
 @njit(cache=True)
-def project_edges(x: Points, edges: IntArray, rest: FloatArray, inverse_mass: float, softness: float) -> None:
-    """Bring every edge to its rest length; softness = compliance / dt² (macklin2016)."""
-    share = inverse_mass / (2.0 * inverse_mass + softness)
+def project_edges(
+    x: Points, edges: IntArray, rest: FloatArray, inverse_mass: float, compliance: float
+) -> None:
+    """Bring every edge to its rest length; its compliance is over dt² (macklin2016)."""
+    share = inverse_mass / (2.0 * inverse_mass + compliance)
     count = len(edges)
     for sweep in range(2 * count):  # there and back, so that the order favours no direction
         e = sweep if sweep < count else 2 * count - 1 - sweep
         i, j = edges[e, 0], edges[e, 1]
         dx, dy, dz = x[j, 0] - x[i, 0], x[j, 1] - x[i, 1], x[j, 2] - x[i, 2]
         length = np.sqrt(dx * dx + dy * dy + dz * dz)
-        pull = share * (length - rest[e]) / max(length, 1e-9)
-        x[i, 0] += pull * dx
-        x[i, 1] += pull * dy
-        x[i, 2] += pull * dz
-        x[j, 0] -= pull * dx
-        x[j, 1] -= pull * dy
-        x[j, 2] -= pull * dz
+        correction = share * (length - rest[e]) / max(length, 1e-9)
+        x[i, 0] += correction * dx
+        x[i, 1] += correction * dy
+        x[i, 2] += correction * dz
+        x[j, 0] -= correction * dx
+        x[j, 1] -= correction * dy
+        x[j, 2] -= correction * dz
 
 
 @njit(cache=True)
 def project_hinges(
-    x: Points, hinges: IntArray, stencils: FloatArray, softness: FloatArray, inverse_mass: float
+    x: Points, hinges: IntArray, stencils: FloatArray, compliance: FloatArray, inverse_mass: float
 ) -> None:
     """Flatten every pair of triangles: the constraint is |Σ k_i x_i|, their mean curvature (bergou2006)."""
     for h in range(len(hinges)):
@@ -238,7 +240,7 @@ def project_hinges(
             cy += k * x[i, 1]
             cz += k * x[i, 2]
             weight += k * k
-        share = inverse_mass / (inverse_mass * weight + softness[h])
+        share = inverse_mass / (inverse_mass * weight + compliance[h])
         for c in range(4):
             step, i = share * stencils[h, c], hinges[h, c]
             x[i, 0] -= step * cx

@@ -301,9 +301,9 @@ def patch(s: FloatArray, t: FloatArray, centre: tuple[float, float], size: tuple
     return np.minimum(away_s, away_t)
 
 
-def step(distance: FloatArray, softness: float) -> FloatArray:
+def step(distance: FloatArray, width: float) -> FloatArray:
     """Return 0 outside, 1 inside, with a soft edge."""
-    return 0.5 * (1.0 + np.tanh(distance / softness))
+    return 0.5 * (1.0 + np.tanh(distance / width))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
