@@ -92,7 +92,7 @@ LINES = {
     "photometry": 1060,
     "pipeline": 8010,
     "report": 3170,
-    "shadows": 2160,
+    "shadows": 2280,
     "simulation": 3540,
     "skinning": 2050,
     "tactile": 2150,

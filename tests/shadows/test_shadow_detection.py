@@ -11,7 +11,7 @@ from vntoolkit.errors import BadInput
 from vntoolkit.options.normals import ShadowMethod
 from vntoolkit.photometry.frame import LinearFrame, lit_from_labels
 from vntoolkit.shadows.detector import ShadowDetector, lit_by_edges
-from vntoolkit.shadows.robust import bonds_of_lights, lit_by_cut
+from vntoolkit.shadows.robust import bonds_of_light, lit_by_cut
 
 
 def overlap(found: np.ndarray, true: np.ndarray) -> np.ndarray:
@@ -105,8 +105,8 @@ def test_pixels_that_need_no_cut_are_labelled_as_the_cut_labels_them() -> None:
     evidence = generator.normal(0.0, 2.0, (40, 50))
     bonds = generator.random((40, 50)), generator.random((40, 50))
     mask = generator.random((40, 50)) < 0.9
-    every = lit_by_cut(evidence, bonds, mask, strongest=1e9)  # all of them enter
-    assert np.array_equal(lit_by_cut(evidence, bonds, mask, 1.0), every)
+    every = lit_by_cut(evidence, lambda _: bonds, mask, strongest=1e9)  # all of them enter
+    assert np.array_equal(lit_by_cut(evidence, lambda _: bonds, mask, 1.0), every)
     assert every[~mask].all()
 
 
@@ -123,7 +123,7 @@ def test_cut_is_the_cheapest_labelling() -> None:
         return wrong + across + (south[:-1] * (lit[1:] != lit[:-1])).sum()
 
     every = [price(np.array([(i >> k) & 1 == 1 for k in range(9)]).reshape(3, 3)) for i in range(512)]
-    found = lit_by_cut(evidence, (east, south), np.ones((3, 3), bool), 1.0)
+    found = lit_by_cut(evidence, lambda _: (east, south), np.ones((3, 3), bool), 1.0)
     assert price(found) == pytest.approx(min(every))
 
 
@@ -136,7 +136,7 @@ def test_cut_costs_what_the_maximum_flow_carries(strength, seed) -> None:
     east, south = (generator.integers(0, int(20 * strength) + 1, (h, w)) for _ in range(2))
     east[:, -1] = south[-1] = 0
     bonds = east.astype(float), south.astype(float)
-    lit = lit_by_cut(evidence.astype(float), bonds, np.ones((h, w), bool), 20 * strength)
+    lit = lit_by_cut(evidence.astype(float), lambda _: bonds, np.ones((h, w), bool), 20 * strength)
     price = np.abs(evidence)[lit != (evidence > 0)].sum()
     price += east[:, :-1][lit[:, 1:] != lit[:, :-1]].sum() + south[:-1][lit[1:] != lit[:-1]].sum()
 
@@ -154,9 +154,9 @@ def test_cut_costs_what_the_maximum_flow_carries(strength, seed) -> None:
 
 def test_of_equally_cheap_cuts_the_one_with_the_most_light_is_taken() -> None:
     bonds = np.array([[1.0, 1.0, 0.0]]), np.zeros((1, 3))
-    assert lit_by_cut(np.array([[1.0, 0.0, -1.0]]), bonds, np.ones((1, 3), bool), 1.0).all()
+    assert lit_by_cut(np.array([[1.0, 0.0, -1.0]]), lambda _: bonds, np.ones((1, 3), bool), 1.0).all()
     apart = np.array([[0.5, 0.5, 0.0]]), np.zeros((1, 3))
-    found = lit_by_cut(np.array([[1.0, 0.0, -1.0]]), apart, np.ones((1, 3), bool), 1.0)
+    found = lit_by_cut(np.array([[1.0, 0.0, -1.0]]), lambda _: apart, np.ones((1, 3), bool), 1.0)
     assert found.tolist() == [[True, True, False]]
 
 
@@ -164,7 +164,7 @@ def test_bonds_give_way_to_one_light_alone() -> None:
     cosines = np.full((1, 3, 3), 0.8)
     cosines[:, 1:] *= 0.5  # all three: paint
     cosines[:, 2:, 0] = 0.02  # light 0 alone: shadow
-    bonds, _ = bonds_of_lights(cosines, 1.0, 0.3)[0]
+    bonds, _ = bonds_of_light(cosines, 0, np.zeros((1, 3), np.int32), 1.0, 0.3)
     assert bonds[0, 0] > 0.95
     assert bonds[0, 1] < 0.1
 

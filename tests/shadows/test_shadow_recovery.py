@@ -14,9 +14,10 @@ from vntoolkit.photometry.frame import LinearFrame, count_lit, labels_from_lit
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.shadows import surface
 from vntoolkit.shadows.albedo import albedo_from_lit, fill_smoothly
+from vntoolkit.shadows.contributions import contributions_from_rgb
 from vntoolkit.shadows.detector import ShadowDetector
 from vntoolkit.shadows.recovery import recover_normals
-from vntoolkit.shadows.roots import spread_of_albedo
+from vntoolkit.shadows.roots import roots_of_labels, spread_of_albedo
 from vntoolkit.shadows.surface import SurfaceOptions, solve_surface
 from vntoolkit.solvers import (
     grid_hierarchy,
@@ -384,3 +385,18 @@ def test_a_shadow_cast_over_a_step_keeps_the_light_of_two_lamps() -> None:
     off = degrees(found.normals_in_camera, normals)
     assert off[labels == 6].mean() < 5.0  # 4.0; a depth that bends at the rim, taken at its word, makes 6.2
     assert off[labels == 7].mean() < 1.0
+
+
+def test_a_rim_of_two_shadows_by_turns_takes_the_root_of_the_lit_surface_beside_it() -> None:
+    """A plane that all lights reach; at its rim every second pixel is called without one, the others without
+    another, so that every lit pixel beside them has both as neighbours.
+    """
+    lights = np.array([[0.0, -0.5, -0.9], [0.45, 0.25, -0.9], [-0.45, 0.25, -0.9]])
+    normal = np.array([0.25, 0.55, -0.8]) / np.linalg.norm([0.25, 0.55, -0.8])
+    response = LightResponse(matrix=lights)
+    rgb = np.broadcast_to((lights @ normal).astype(np.float32), (12, 16, 3)).copy()
+    labels = np.full((12, 16), 7, np.uint8)
+    labels[::2, -1], labels[1::2, -1] = 0b101, 0b011
+    light = contributions_from_rgb(rgb, response, np.ones((12, 16), np.float32))
+    roots = roots_of_labels(light, light.length, labels, np.ones((12, 16), bool), spread=0.01)
+    assert degrees(roots.normals, normal).max() < 0.1

@@ -9,6 +9,7 @@ import numpy as np
 
 from vntoolkit.arrays import Array, ArrayLike, BoolArray, FloatArray, Mask, Matrix3, Vector3, Weight
 from vntoolkit.geometry.camera import Camera
+from vntoolkit.native import njit
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
 
@@ -16,7 +17,6 @@ _WORKING_PIXELS = 100_000  # surfaces are solved on images of about this size: m
 _CLIPPED_TRUST = 0.05  # a saturated channel is a bound, not a value
 _SMALLEST_ALBEDO = 1e-3
 _SMALLEST_REST = 0.05  # 1 − |M⁻¹a|²: an ambient light as strong as the lamps leaves no root
-_SHORTEST = np.float32(1e-6)  # of M⁻¹r: less is no light
 _MARGIN_PX = 4  # room for filters around the mask
 Window = tuple[slice, slice]
 Numbers = tuple[Any, ...]  # float32
@@ -127,9 +127,15 @@ def contributions_from_frame(frame: LinearFrame, response: LightResponse) -> Lig
 
 def contributions_from_rgb(rgb: FloatArray, response: LightResponse, trust: Weight) -> LightContributions:
     """Split an image (h, w, 3) by light. trust: (h, w), 1, less where clipped."""
-    length, normals = _scaled_normals(rgb, response)
+    contributions, normals = np.empty_like(rgb), np.empty_like(rgb)
+    length = np.empty(rgb.shape[:2], np.float32)
+    haze, rest = _haze_of(response)
+    _split_kernel(
+        flat(rgb), numbers_of(response.contributions_from_rgb), numbers_of(response.inverse),
+        numbers_of(haze), np.float32(rest), flat(contributions), length, flat(normals),
+    )  # fmt: skip
     return LightContributions(
-        contributions=cv2.transform(rgb, response.contributions_from_rgb),
+        contributions=contributions,
         ambient=response.contributions_from_rgb @ response.ambient,
         lights=response.lights,
         directions=response.light_directions,
@@ -143,23 +149,10 @@ def _trust_of(frame: LinearFrame) -> Weight:
     return np.where(frame.clipped, np.float32(_CLIPPED_TRUST), np.float32(1.0))
 
 
-def _scaled_normals(rgb: FloatArray, response: LightResponse) -> tuple[FloatArray, FloatArray]:
-    """Solve r = ρ (M n + a), |n| = 1, for the albedo ρ, (h, w), and the normal n, (h, w, 3).
-
-    With s = M⁻¹r and w = M⁻¹a (haze), |s − ρ w| = ρ is a quadratic in ρ with one positive root as long as the
-    ambient light is weaker than the lamps. Where there is no light the normal faces the viewer.
-    """
+def _haze_of(response: LightResponse) -> tuple[FloatArray, float]:
+    """Return w = M⁻¹a, (3,) float32, and 1 − |w|²."""
     haze: FloatArray = (response.inverse @ response.ambient).astype(np.float32)
-    rest = np.float32(max(1.0 - float(haze @ haze), _SMALLEST_REST))
-    scaled = cv2.transform(rgb, response.inverse)
-    along = scaled @ haze
-    albedo = (np.sqrt(along * along + rest * lengths_of(scaled)[..., 0] ** 2) - along) / rest
-    if haze.any():
-        scaled -= albedo[..., None] * haze
-    length = lengths_of(scaled)
-    scaled /= np.maximum(length, _SHORTEST)
-    scaled[length[..., 0] <= _SHORTEST] = 0.0, 0.0, -1.0
-    return albedo, scaled
+    return haze, max(1.0 - float(haze @ haze), _SMALLEST_REST)
 
 
 def brighter_than(frame: LinearFrame, response: LightResponse, darkest: float, mask: Mask) -> Mask:
@@ -167,6 +160,23 @@ def brighter_than(frame: LinearFrame, response: LightResponse, darkest: float, m
     affine = np.column_stack([response.inverse, -response.inverse @ response.ambient])
     scaled = cv2.transform(np.asarray(frame.rgb, np.float32), affine)
     return mask & (np.einsum("vuc,vuc->vu", scaled, scaled) > darkest**2)
+
+
+@njit(cache=True, error_model="numpy")
+def _split_kernel(
+    rgb: FloatArray, split: Numbers, inverse: Numbers, haze: Numbers, rest: np.float32,
+    contributions: FloatArray, length: FloatArray, normals: FloatArray,
+) -> None:  # fmt: skip
+    """Fill the contributions, the albedo and the normal. rest: 1 − |w|²."""
+    h, w = length.shape
+    for v in range(h):
+        line, seen, size, normal = rgb[v], contributions[v], length[v], normals[v]
+        for u in range(w):
+            r, g, b = line[3 * u], line[3 * u + 1], line[3 * u + 2]
+            seen[3 * u], seen[3 * u + 1], seen[3 * u + 2] = _turned(split, r, g, b)
+            normal[3 * u], normal[3 * u + 1], normal[3 * u + 2], size[u] = _scaled_normal(
+                r, g, b, inverse, haze, rest
+            )
 
 
 # Parts of compiled loops. The compiler does eight pixels at a time where what is the same for all of them
@@ -182,6 +192,41 @@ def flat(image: FloatArray) -> FloatArray:
 def numbers_of(values: ArrayLike) -> Numbers:
     """Return an array's values as a flat tuple of float32."""
     return tuple(np.float32(value) for value in np.ravel(np.asarray(values)))
+
+
+@njit(cache=True, forceinline=True, error_model="numpy")
+def _turned(matrix: Numbers, x: Any, y: Any, z: Any) -> tuple[Any, Any, Any]:
+    """Return a 3×3 matrix, nine numbers, times a vector."""
+    return (
+        matrix[0] * x + matrix[1] * y + matrix[2] * z,
+        matrix[3] * x + matrix[4] * y + matrix[5] * z,
+        matrix[6] * x + matrix[7] * y + matrix[8] * z,
+    )
+
+
+@njit(cache=True, forceinline=True, error_model="numpy")
+def _scaled_normal(
+    r: Any, g: Any, b: Any, inverse: Numbers, haze: Numbers, rest: Any
+) -> tuple[Any, Any, Any, Any]:
+    """Solve r = ρ (M n + a), |n| = 1, for the normal n and the albedo ρ.
+
+    With s = M⁻¹r and w = M⁻¹a (haze), |s − ρ w| = ρ is a quadratic in ρ with one positive root as long as the
+    ambient light is weaker than the lamps. rest: 1 − |w|². Where there is no light the normal faces the
+    viewer.
+    """
+    x, y, z = _turned(inverse, r, g, b)
+    along = x * haze[0] + y * haze[1] + z * haze[2]
+    squared = x * x + y * y + z * z
+    albedo = (np.sqrt(along * along + rest * squared) - along) / rest
+    x, y, z = x - albedo * haze[0], y - albedo * haze[1], z - albedo * haze[2]
+    long = np.sqrt(x * x + y * y + z * z)
+    sound = long > np.float32(1e-6)
+    over = np.float32(1.0) / (long if sound else np.float32(1.0))
+    zero = np.float32(0.0)
+    return (
+        x * over if sound else zero, y * over if sound else zero, z * over if sound else np.float32(-1.0),
+        albedo,
+    )  # fmt: skip
 
 
 # The rectangle around a mask: where a figure fills a third of its frame, the rest shall take no time.

@@ -10,6 +10,7 @@ A cosine is a light's contribution over the albedo around and its strength: 1 wh
 
 from typing import Any
 
+import cv2
 import numpy as np
 from numba import prange
 
@@ -58,8 +59,7 @@ def typical_dark_cosine(
     mostly lies nearer to that ratio is the tail of light that arrives, and tells nothing of shadows.
     """
     found = []
-    for k in range(3):
-        seen, surface = cosines[..., k], predicted[..., k]
+    for seen, surface in zip(cv2.split(cosines), cv2.split(predicted), strict=True):
         missing = mask & (surface > _SURELY_PREDICTED) & (seen < _MISSING_RATIO * surface)
         if apart and 2 * np.count_nonzero(missing & (seen < 0.5 * _MISSING_RATIO * surface)) <= missing.sum():
             continue

@@ -1,6 +1,10 @@
 """Labels by a minimum cut: the cheapest labelling of pixels with evidence each and prices between them."""
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
+from numba import prange
 
 from vntoolkit.arrays import BoolArray, Float64Array, FloatArray, Int32Array, IntArray, Mask
 from vntoolkit.native import njit
@@ -13,31 +17,49 @@ _SHADOW, _LIT, _NOWHERE = -1, -2, -3  # what is no node: its label is known, or 
 
 def lit_by_cut(
     evidence: FloatArray,
-    bonds: tuple[FloatArray, FloatArray],
+    bonds: Callable[[Nodes], tuple[FloatArray, FloatArray]],
     mask: Mask,
     strongest: float,
 ) -> BoolArray:
     """Minimise Σ |evidence| over pixels labelled against it plus the bonds cut (boykov2001).
 
-    evidence: (h, w), positive speaks for light, negative for shadow. bonds: to the east and to the south
-    neighbour, (h, w) each, at least 0, the price of a change there; those of the last column and row lead
-    nowhere. strongest: no bond costs more.
+    evidence: (h, w), positive speaks for light, negative for shadow. bonds: returns those to the east and to
+    the south neighbour, (h, w) each, at least 0, the price of a change there, known at least at nodes, whose
+    number is not negative; those of the last column and row lead nowhere. strongest: no bond costs more.
     Returns (h, w), True where lit (and outside `mask`). Of several cheapest labellings it is the one with the
     most light.
 
     A pixel whose evidence outweighs its four bonds has its label whatever its neighbours have; only the
     others enter the cut.
     """
-    given, most = np.asarray(evidence), 4.0 * strongest
-    number: Nodes = np.full(mask.shape, _NOWHERE, np.int32)
-    number[mask & (given >= most)], number[mask & (given < -most)] = _LIT, _SHADOW
-    free = mask & (given < most) & (given >= -most)
-    count = np.count_nonzero(free)
-    number[free] = np.arange(count, dtype=np.int32)
-    lit: BoolArray = number != _SHADOW
+    given = np.asarray(evidence)
+    number: Nodes = np.empty(mask.shape, np.int32)
+    lit: BoolArray = np.empty(mask.shape, np.bool_)
+    count = _number_kernel(given, mask, 4.0 * strongest, number, lit)
     if count:
-        _cut_kernel(given, *bonds, number, count, lit)
+        _cut_kernel(given, *bonds(number), number, count, lit)
     return lit
+
+
+@njit(cache=True)
+def _number_kernel(evidence: FloatArray, mask: Mask, most: Any, number: Nodes, lit: Mask) -> int:
+    """Number the pixels that the cut must decide, and label the others."""
+    h, w = mask.shape
+    count = 0
+    for v in range(h):
+        for u in range(w):
+            lit[v, u] = True
+            if not mask[v, u]:
+                number[v, u] = _NOWHERE
+            elif evidence[v, u] >= most:
+                number[v, u] = _LIT
+            elif evidence[v, u] < -most:
+                number[v, u] = _SHADOW
+                lit[v, u] = False
+            else:
+                number[v, u] = count
+                count += 1
+    return count
 
 
 @njit(cache=True)
@@ -157,24 +179,56 @@ def _drain(
             return
 
 
-def bonds_of_lights(
-    cosines: FloatArray, strength: float, contrast: float
-) -> list[tuple[FloatArray, FloatArray]]:
-    """Bonds of each light, which give way where it changes alone: paint and folds change the others too.
+def bonds_of_light(
+    cosines: FloatArray, light: int, number: Nodes, strength: float, contrast: float
+) -> tuple[FloatArray, FloatArray]:
+    """Bonds that give way where this light alone changes: paint and folds change the other lights too.
 
-    cosines: (h, w, 3). strength: full price. contrast: difference of log cosines, between a light and the
-    more similar of the other two, at which a bond falls to 1/e. Returns for each light the bonds to the east
-    and to the south (h, w).
+    cosines: (h, w, 3). number: (h, w), see `lit_by_cut`. strength: full price. contrast: difference of log
+    cosines, between this light and the more similar of the other two, at which a bond falls to 1/e. Returns
+    the bonds to the east and to the south (h, w), known where one of their ends is a node.
     """
-    logs = [np.log(np.maximum(cosines[..., k], np.float32(0)) + np.float32(_DARK_COSINE)) for k in range(3)]
-    # how each light's change from pixel to pixel differs from the next light's
-    apart = [logs[k] - logs[k - 2] for k in range(3)]
+    given = np.ascontiguousarray(cosines, dtype=np.float32)
+    east, south = np.empty(number.shape, np.float32), np.empty(number.shape, np.float32)
+    _bonds_kernel(given, light, number, np.float32(strength), np.float32(1.0 / contrast), east, south)
+    return east, south
 
-    def between(axis: int) -> list[FloatArray]:
-        steps = [np.abs(np.diff(each, axis=axis)) for each in apart]
-        alone = [np.minimum(steps[k], steps[k - 1]) * np.float32(1.0 / contrast) for k in range(3)]
-        bonds = [strength * (_WEAKEST_BOND + (1.0 - _WEAKEST_BOND) * np.exp(-each * each)) for each in alone]
-        pad = ((0, 0), (0, 1)) if axis else ((0, 1), (0, 0))
-        return [np.pad(bond, pad) for bond in bonds]
 
-    return list(zip(between(1), between(0), strict=True))
+@njit(cache=True, forceinline=True, error_model="numpy")
+def _change(first: Any, second: Any, other_first: Any, other_second: Any) -> Any:
+    """Return by what factor, at least 1, one cosine changes more than another from pixel to pixel."""
+    dark, zero = np.float32(_DARK_COSINE), np.float32(0.0)
+    one = (max(second, zero) + dark) * (max(other_first, zero) + dark)
+    two = (max(first, zero) + dark) * (max(other_second, zero) + dark)
+    return max(one, two) / min(one, two)
+
+
+@njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
+def _bonds_kernel(
+    cosines: FloatArray, light: int, number: Nodes, strength: Any, sharpness: Any, east: FloatArray,
+    south: FloatArray,
+) -> None:  # fmt: skip
+    h, w = number.shape
+    second, third = (light + 1) % 3, (light + 2) % 3
+    weakest, rest = np.float32(_WEAKEST_BOND), np.float32(1.0 - _WEAKEST_BOND)
+    for v in prange(h):
+        here, below = number[v], number[min(v + 1, h - 1)]
+        for u in range(w):
+            n = min(u + 1, w - 1)
+            if here[u] < 0 and here[n] < 0 and below[u] < 0:
+                continue
+            for j in range(2):
+                i, n = v + j, u + 1 - j
+                if i >= h or n >= w or (here[u] < 0 and number[i, n] < 0):
+                    continue
+                one, two = cosines[v, u], cosines[i, n]
+                alone = min(
+                    _change(one[light], two[light], one[second], two[second]),
+                    _change(one[light], two[light], one[third], two[third]),
+                )
+                sharp = np.log(alone) * sharpness
+                bond = strength * (weakest + rest * np.exp(-sharp * sharp))
+                if j == 0:
+                    east[v, u] = bond
+                else:
+                    south[v, u] = bond

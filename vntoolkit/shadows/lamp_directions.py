@@ -85,7 +85,7 @@ def unlit_by_lamp(
 
     Arguments as for `directions_from_shadows`. Those of several frames may be joined.
     """
-    found = []
+    found: list[FloatArray] = []
     for k in range(3):
         pixels = _inside(labels, np.uint8(1 << k), mask)
         pixels = pixels[:: 1 + len(pixels) // _MOST_PIXELS]

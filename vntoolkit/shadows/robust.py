@@ -27,7 +27,7 @@ from vntoolkit.shadows.contributions import (
     working_image,
 )
 from vntoolkit.shadows.evidence import PAINT_COSINE, evidence_of_lights, typical_dark_cosine, without_paint
-from vntoolkit.shadows.graph_cut import bonds_of_lights, lit_by_cut
+from vntoolkit.shadows.graph_cut import Nodes, bonds_of_light, lit_by_cut
 from vntoolkit.shadows.shadow_edges import lit_beyond_half, sharpened, turned_from_lights
 from vntoolkit.shadows.surface import LabelledImage, Surface, SurfaceOptions
 
@@ -36,7 +36,7 @@ _WEAK_COSINE = 0.35  # a frame without any that is less has no shadow
 _FIRST_COSINE = 0.2  # lights with less are doubted at the start
 _FIRST_ROUNDS = 3  # in which the albedo and the first doubts settle each other
 _SMOOTHNESS = 0.5  # price of a change of label between neighbours, in units of evidence
-_CONTRAST = 0.6  # see `bonds_of_lights`
+_CONTRAST = 0.6  # see `bonds_of_light`
 _ROUNDS = 3  # alternations of surface and labels on the smallest image; most of the change comes in the first
 _FINER_ROUNDS = (
     2  # the same on every larger one: after one, a face's labels overlap the true ones less by 0.1
@@ -130,8 +130,14 @@ def _lit_on(surface: Surface, image: WorkingImage, albedo: FloatArray) -> BoolAr
 
 def _cut(evidence: FloatArray, cosines: FloatArray, mask: Mask) -> BoolArray:
     """Return (h, w, 3), the cheapest labels."""
-    bonds = bonds_of_lights(cosines, _SMOOTHNESS, _CONTRAST)
-    return np.stack([lit_by_cut(evidence[k], bonds[k], mask, _SMOOTHNESS) for k in range(3)], axis=-1)
+
+    def of_light(k: int) -> BoolArray:
+        def bonds(number: Nodes) -> tuple[FloatArray, FloatArray]:
+            return bonds_of_light(cosines, k, number, _SMOOTHNESS, _CONTRAST)
+
+        return lit_by_cut(evidence[k], bonds, mask, _SMOOTHNESS)
+
+    return np.stack([of_light(k) for k in range(3)], axis=-1)
 
 
 def _first_lit(image: WorkingImage) -> BoolArray:

@@ -76,7 +76,7 @@ def roots_of_labels(
         flat(base), tilt, across, wide, kinds, variance, np.float32(afar), np.float32(0.5 * _STEPS), evidence,
         east, south,
     )  # fmt: skip
-    facing = lit_by_cut(evidence - np.float32(_OCCLUDER_PRICE), (east, south), two, np.inf)
+    facing = lit_by_cut(evidence - np.float32(_OCCLUDER_PRICE), lambda _: (east, south), two, np.inf)
     sine = np.sin(np.where(facing, tilt, -tilt))[..., None]
     roots = np.where(two[..., None], np.cos(tilt)[..., None] * base + sine * across[wide], light.normals)
     known = mask & ((labels == ALL_LIT) | two)

@@ -100,7 +100,8 @@ def _sampled(
     columns = (u + inwards[:, 0] * distance + 0.5) * (width / shape[1]) - 0.5
     rows = (v + inwards[:, 1] * distance + 0.5) * (height / shape[0]) - 0.5
     places = columns[:, None].astype(np.float32), rows[:, None].astype(np.float32)
-    return cv2.remap(image, *places, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)[:, 0]
+    found = cv2.remap(image, *places, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(found[:, 0], np.float32)
 
 
 def _unit(vectors: FloatArray) -> FloatArray:

@@ -203,12 +203,8 @@ def solve_surface(
         if step >= options.held:
             slopes_kernel(depth, weights, np.float32(STEEPEST), slopes, agreement)
         softness = (_STEP_SOFTNESS, _SHADOW_STEP_SOFTNESS)
-    normals = _normals_of_slopes(slopes, given.rays)
-    colour = np.where(known, np.float32(1.0) - agreement, np.float32(0.0))[..., None]
-    mixed = normals + colour * (
-        first - normals
-    )  # where depth steps or creases, a colour's own normal is kept
-    normals = np.where(mask[..., None], mixed / np.maximum(lengths_of(mixed), _SHORTEST), np.float32(0.0))
+    normals = np.empty_like(first)
+    _normals_kernel(slopes, flat(first), agreement, known, mask, given.rays, flat(normals))
     return Surface(normals=normals, depth=depth, agreement=agreement)
 
 
@@ -280,23 +276,12 @@ def _first_guess(normals: FloatArray, known: Mask, rays: RayGrid, start: Surface
 
 def _slopes_of_normals(normals: FloatArray, rays: RayGrid) -> Grid:
     """Return the slopes (2, h, w) of normals (h, w, 3), held where they are seen at grazing incidence."""
-    x, y = _rays_over(rays, normals.shape[:2])
+    h, w = normals.shape[:2]
+    x = (np.arange(w, dtype=np.float32) - rays.centre_u) * rays.per_pixel_u
+    y = (np.arange(h, dtype=np.float32)[:, None] - rays.centre_v) * rays.per_pixel_v
     along = np.minimum(normals[..., 2] + x * normals[..., 0] + y * normals[..., 1], np.float32(-FLATTEST_Z))
     slopes = np.stack([normals[..., 0] / -along, normals[..., 1] / -along])
     return slopes * (np.float32(STEEPEST) / np.maximum(np.hypot(*slopes), np.float32(STEEPEST)))
-
-
-def _normals_of_slopes(slopes: Grid, rays: RayGrid) -> FloatArray:
-    """Return the unit normals (h, w, 3), n ∝ (p, q, −1 − x p − y q)."""
-    x, y = _rays_over(rays, slopes.shape[1:])
-    normals = np.stack([*slopes, -1 - x * slopes[0] - y * slopes[1]], axis=-1)
-    return normals / lengths_of(normals)
-
-
-def _rays_over(rays: RayGrid, shape: tuple[int, ...]) -> tuple[Grid, Grid]:
-    """Return (w,) x and (h, 1) y of the pixels' rays at depth 1."""
-    x = (np.arange(shape[1], dtype=np.float32) - rays.centre_u) * rays.per_pixel_u
-    return x, ((np.arange(shape[0], dtype=np.float32) - rays.centre_v) * rays.per_pixel_v)[:, None]
 
 
 def _prior_weights(mask: Mask, known: Mask) -> tuple[Grid, Grid]:
@@ -429,3 +414,41 @@ def quadratics_kernel(
             a00, a01, a11, b0, b1 = some * a00, some * a01, some * a11, some * b0, some * b1
             o00[u], o01[u], o11[u], o0[u], o1[u], oc[u] = a00, a01, a11, b0, b1, some * c
             to_p[u], to_q[u] = a00 * p + a01 * q + b0, a01 * p + a11 * q + b1
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def _normals_kernel(
+    slopes: Grid, first: Grid, agreement: Grid, known: Mask, mask: Mask, rays: RayGrid, out: Grid
+) -> None:
+    """Fill the unit normals (h, w, 3): n ∝ (p, q, −1 − x p − y q) of the slopes, 0 outside the mask.
+
+    Where colour alone gives a normal, it is kept as far as the depth disagrees (a step, a crease).
+    """
+    h, w = mask.shape
+    zero, one = np.float32(0.0), np.float32(1.0)
+    for v in range(h):
+        x0, y = ray_at(rays, v, 0)
+        slope_p, slope_q, line, to = slopes[0, v], slopes[1, v], first[v], out[v]
+        agreed, own, inside = agreement[v], known[v], mask[v]
+        for u in range(w):
+            x = x0 + rays.per_pixel_u * np.float32(u)
+            p, q = slope_p[u], slope_q[u]
+            n2 = -one - x * p - y * q
+            scale = one / np.sqrt(p * p + q * q + n2 * n2)
+            p, q, n2 = p * scale, q * scale, n2 * scale
+            weight = agreed[u] if own[u] else one
+            a, b, c = _mixed(p, q, n2, weight, line[3 * u], line[3 * u + 1], line[3 * u + 2])
+            to[3 * u], to[3 * u + 1], to[3 * u + 2] = (
+                a if inside[u] else zero, b if inside[u] else zero, c if inside[u] else zero,
+            )  # fmt: skip
+
+
+@njit(cache=True, forceinline=True, error_model="numpy")
+def _mixed(a0: Any, a1: Any, a2: Any, weight: Any, b0: Any, b1: Any, b2: Any) -> tuple[Any, Any, Any]:
+    """Blend two unit vectors, the first with `weight`."""
+    rest = np.float32(1.0) - weight
+    x = weight * a0 + rest * b0
+    y = weight * a1 + rest * b1
+    z = weight * a2 + rest * b2
+    scale = np.float32(1.0) / max(np.sqrt(x * x + y * y + z * z), np.float32(1e-6))
+    return x * scale, y * scale, z * scale
