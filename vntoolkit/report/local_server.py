@@ -25,7 +25,7 @@ from urllib.parse import parse_qs, urlsplit
 
 from vntoolkit.errors import BadInput, CannotWrite, VntError
 from vntoolkit.options.pages import ViewerOptions
-from vntoolkit.report.scene import content_policy
+from vntoolkit.report.rendering import content_policy
 
 _PORTS_TRIED = 100
 _REQUEST_S = 10.0  # for a whole request to come; a page that asks for nothing is let go after it too

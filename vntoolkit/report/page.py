@@ -19,7 +19,7 @@ from vntoolkit.io.files import read_bytes
 from vntoolkit.io.footage.image_writing import encoded_image
 from vntoolkit.io.results.manifest import now_utc
 from vntoolkit.report.pictures import report_style
-from vntoolkit.report.scene import rendered
+from vntoolkit.report.rendering import rendered
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -6,13 +6,9 @@ raw RGBA or an image file, `own`, a grid of depths, and `registered`, the vertic
 the frame has them; for the faces of that mesh, the same in all frames, there is a packet with `mesh`.
 """
 
-import base64
-import hashlib
 import json
 import struct
 from collections.abc import Iterable, Mapping
-from functools import cache
-from importlib.resources import files
 from typing import Any
 
 import numpy as np
@@ -24,6 +20,7 @@ from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.io.conventions import graphics_from_camera
 from vntoolkit.options.depth import MeshOptions
 from vntoolkit.options.export import NormalConvention
+from vntoolkit.report.rendering import page_from_template
 
 _NONE = 65535  # depth step of a pixel without depth
 _STEPS = 65535
@@ -170,52 +167,3 @@ def scene_page(title: str, mode: str, setup: Mapping[str, Any]) -> str:
     return page_from_template(
         "scene.html.j2", script="scene.js", title=title, setup={"mode": mode, **known, **setup}
     )
-
-
-def page_from_template(template: str, *, script: str, title: str, setup: Mapping[str, Any]) -> str:
-    """Return a page as HTML, script and style inside. setup: what template and script must know."""
-    data = json.dumps(dict(setup), separators=(",", ":"))
-    return rendered(
-        template,
-        **{
-            **setup,
-            "title": title,
-            "setup": data.replace("<", "\\u003c"),  # no end of the script in it
-            "style": scene_text("scene.css"),
-            "script": scene_text(script),
-            "policy": content_policy(script) if setup["mode"] == "file" else None,
-        },
-    )
-
-
-def rendered(name: str, /, **values: Any) -> str:
-    """Return a template of this folder with its values; all text is escaped."""
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-
-    environment = Environment(
-        loader=PackageLoader("vntoolkit.report"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    return environment.get_template(name).render(**values)
-
-
-@cache
-def content_policy(script: str) -> str:
-    """Return a policy by which a page's own script and style count alone, and nothing is fetched."""
-
-    def digest(name: str) -> str:
-        return base64.b64encode(hashlib.sha256(scene_text(name).encode()).digest()).decode()
-
-    return (
-        f"default-src 'none'; script-src 'sha256-{digest(script)}'; "
-        f"style-src 'sha256-{digest('scene.css')}'; img-src data:; base-uri 'none'; form-action 'none'"
-    )
-
-
-@cache
-def scene_text(name: str) -> str:
-    """Return a page's script or style, such as `scene.js`."""
-    return (files("vntoolkit.report") / "templates" / name).read_text("utf-8")
