@@ -163,7 +163,7 @@ def test_a_camera_that_is_not_there_is_one_line(place, capfd, monkeypatch):
         "reconstruct frame.png --rig rig.json --out o --distance=",
         "calibrate sphere frame.png --out r.json --focal-px=",
         "calibrate board frame.png --out r.json --square-mm=",
-        "track empty --smoothing-length=",
+        "track empty --lost-px=",
         "view empty --max-megapixels=",
     ],
 )

@@ -127,8 +127,6 @@ def test_evaluate_tracks_refuses_what_it_cannot_do(arguments, line, tmp_path, ca
         (["live", "--rig", "R", "--video", "F", "--size-mm", "3", "4", "--pixel-mm", "1"], "both --corners"),
         (["reconstruct", "F", "--rig", "R", "--out", "o", "--scheduler", "nowhere"], "nowhere: no Dask"),
         (["session", "F", "--rig", "R", "--out", "o", "--method", "flow"], "--method needs --track"),
-        (["track", "o", "--method", "arap", "--smoothing-length", "5"], "method `arap` has none"),
-        (["track", "o", "--data-share", "0.5"], "method `default` has none"),
     ],
 )  # fmt: skip
 def test_flags_that_need_each_other(arguments, line, tmp_path, dome_capture, capsys, monkeypatch):
