@@ -11,9 +11,9 @@ from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.io.maps_and_meshes.maps import read_normal_map, write_normal_map
 from vntoolkit.normals.expected_error import (
-    doubts_of_materials,
+    errors_of_materials,
     normals_and_errors_from_encoded,
-    with_doubt,
+    with_added_error,
     with_expected_error,
 )
 from vntoolkit.normals.frame_evidence import fit_ellipsoid
@@ -191,7 +191,7 @@ def test_of_one_light_or_none_the_bound_holds_nine_tenths_of_the_normals_that_fa
     found = with_expected_error(given, frame, RESPONSE, np.full((32, 32), label, np.uint8))
     assert (np.abs(found.error_deg - np.percentile(away, 90)) < 2).all()
     assert found.error_deg.min() > 70
-    doubted = with_doubt(found, np.full((32, 32), 20, np.float32))
+    doubted = with_added_error(found, np.full((32, 32), 20, np.float32))
     np.testing.assert_array_equal(doubted.error_deg, found.error_deg)  # nothing is not made worse
 
 
@@ -405,22 +405,22 @@ def test_another_order_of_the_samples_gives_the_same_bits(rng: np.random.Generat
     assert np.array_equal(found[:25], other[:25])
 
 
-def test_doubts_of_materials_and_of_paint_add_as_independent_errors() -> None:
+def test_errors_of_materials_and_of_paint_add_as_independent_errors() -> None:
     generator = np.random.default_rng(0)
     numbers, bounds = generator.integers(0, 3, (4, 5), dtype=np.uint8), np.array([0.0, 3.0, 6.0], np.float32)
     turned = generator.uniform(0, 9, numbers.shape).astype(np.float32)
-    assert np.array_equal(doubts_of_materials(numbers, bounds, None), bounds[numbers])
-    doubts = doubts_of_materials(numbers, bounds, turned)
-    assert np.allclose(doubts, np.hypot(bounds[numbers], turned))
+    assert np.array_equal(errors_of_materials(numbers, bounds, None), bounds[numbers])
+    errors = errors_of_materials(numbers, bounds, turned)
+    assert np.allclose(errors, np.hypot(bounds[numbers], turned))
     normals = np.zeros((4, 5, 3), np.float32)
     normals[..., 2] = -1.0
     mask = numbers > 0
     told = np.where(mask, np.float32(8.0), np.float32(0.0))
-    found = with_doubt(
-        NormalMap(normals_in_camera=normals * mask[..., None], mask=mask, error_deg=told), doubts
+    found = with_added_error(
+        NormalMap(normals_in_camera=normals * mask[..., None], mask=mask, error_deg=told), errors
     )
     assert found.error_deg is not None
     assert found.weight is not None
-    assert np.allclose(found.error_deg, np.where(mask, np.hypot(8.0, doubts), 0.0))
+    assert np.allclose(found.error_deg, np.where(mask, np.hypot(8.0, errors), 0.0))
     assert np.all(found.weight[~mask] == 0.0)
     assert np.all(np.diff(found.weight[mask][np.argsort(found.error_deg[mask])]) <= 0.0)

@@ -42,14 +42,14 @@ def test_lamp_whose_colour_nobody_knows_is_found_from_its_shadow() -> None:
     off = angle_deg(found.at(2, np.array([[30.0, 30.0]]))[0], LAMPS[2])
     row = angle_deg(response().light_directions[2], LAMPS[2])
     assert off < 0.5 < row  # M's row mixes the lamps
-    assert off < np.degrees(found.doubts[2]) < 8.0
-    assert np.all(np.isinf(found.doubts[:2]))  # nothing lies in their shadows
+    assert off < np.degrees(found.deviations[2]) < 8.0
+    assert np.all(np.isinf(found.deviations[:2]))  # nothing lies in their shadows
 
 
 def test_flat_surface_in_shadow_leaves_the_direction_in_doubt() -> None:
     frame, labels = seen(0.02, 0.003, np.s_[20:45])
     found = directions_from_shadows(frame, labels, response(), np.ones(SHAPE, np.bool_))
-    assert np.degrees(found.doubts[2]) > 20.0
+    assert np.degrees(found.deviations[2]) > 20.0
 
 
 def test_light_is_split_by_the_lamps_that_are_sure() -> None:
@@ -71,7 +71,7 @@ def test_light_stays_as_channels_have_it_where_no_lamp_is_sure() -> None:
 def test_few_pixels_leave_the_lamp_unknown() -> None:
     frame, labels = seen(0.6, 0.003, np.s_[20:24, 20:30])
     found = directions_from_shadows(frame, labels, response(), np.ones(SHAPE, np.bool_))
-    assert np.all(np.isinf(found.doubts))
+    assert np.all(np.isinf(found.deviations))
 
 
 def test_frames_together_tell_what_none_tells_alone() -> None:
@@ -79,10 +79,10 @@ def test_frames_together_tell_what_none_tells_alone() -> None:
     for rows in (np.s_[10:17, 5:9], np.s_[30:36, 20:26], np.s_[45:50, 40:47]):
         frame, labels = seen(0.6, 0.003, rows)
         alone = unlit_by_lamp(frame, labels, response(), everywhere)
-        assert np.isinf(directions_from_unlit(alone, response()).doubts[2])
+        assert np.isinf(directions_from_unlit(alone, response()).deviations[2])
         unlit = np.concatenate([unlit, alone[2]])
     found = directions_from_unlit([unlit[:0], unlit[:0], unlit], response())
-    assert angle_deg(found.central[2], LAMPS[2]) < np.degrees(found.doubts[2]) < 8.0
+    assert angle_deg(found.central[2], LAMPS[2]) < np.degrees(found.deviations[2]) < 8.0
 
 
 def test_known_colours_give_the_directions_at_once() -> None:
@@ -90,4 +90,4 @@ def test_known_colours_give_the_directions_at_once() -> None:
     found = directions_from_shadows(frame, labels, response(COLOURS), np.ones(SHAPE, np.bool_))
     for k in range(3):
         assert angle_deg(found.at(k, np.array([[3.0, 50.0]]))[0], LAMPS[k]) < 1e-6
-    np.testing.assert_array_equal(found.doubts, 0.0)
+    np.testing.assert_array_equal(found.deviations, 0.0)

@@ -11,7 +11,7 @@ from vntoolkit.errors import BadInput
 from vntoolkit.options.normals import ShadowMethod
 from vntoolkit.photometry.frame import LinearFrame, lit_from_labels
 from vntoolkit.shadows.detector import ShadowDetector, lit_by_edges
-from vntoolkit.shadows.robust import bonds_of_light, lit_by_cut
+from vntoolkit.shadows.robust import lit_by_cut, weights_of_light
 
 
 def overlap(found: np.ndarray, true: np.ndarray) -> np.ndarray:
@@ -102,28 +102,28 @@ def test_where_no_light_is_weak_nothing_is_solved(build_stage) -> None:
 
 def test_pixels_that_need_no_cut_are_labelled_as_the_cut_labels_them() -> None:
     generator = np.random.default_rng(7)
-    evidence = generator.normal(0.0, 2.0, (40, 50))
-    bonds = generator.random((40, 50)), generator.random((40, 50))
+    log_odds = generator.normal(0.0, 2.0, (40, 50))
+    weights = generator.random((40, 50)), generator.random((40, 50))
     mask = generator.random((40, 50)) < 0.9
-    every = lit_by_cut(evidence, lambda _: bonds, mask, strongest=1e9)  # all of them enter
-    assert np.array_equal(lit_by_cut(evidence, lambda _: bonds, mask, 1.0), every)
+    every = lit_by_cut(log_odds, lambda _: weights, mask, strongest=1e9)  # all of them enter
+    assert np.array_equal(lit_by_cut(log_odds, lambda _: weights, mask, 1.0), every)
     assert every[~mask].all()
 
 
 def test_cut_is_the_cheapest_labelling() -> None:
     """Against all 2⁹ labellings of a 3×3 image."""
     generator = np.random.default_rng(3)
-    evidence = generator.normal(size=(3, 3))
+    log_odds = generator.normal(size=(3, 3))
     east, south = generator.random((3, 3)), generator.random((3, 3))
     east[:, -1] = south[-1] = 0.0
 
     def price(lit: np.ndarray) -> float:
-        wrong = np.where(lit != (evidence > 0), np.abs(evidence), 0.0).sum()
+        wrong = np.where(lit != (log_odds > 0), np.abs(log_odds), 0.0).sum()
         across = (east[:, :-1] * (lit[:, 1:] != lit[:, :-1])).sum()
         return wrong + across + (south[:-1] * (lit[1:] != lit[:-1])).sum()
 
     every = [price(np.array([(i >> k) & 1 == 1 for k in range(9)]).reshape(3, 3)) for i in range(512)]
-    found = lit_by_cut(evidence, lambda _: (east, south), np.ones((3, 3), bool), 1.0)
+    found = lit_by_cut(log_odds, lambda _: (east, south), np.ones((3, 3), bool), 1.0)
     assert price(found) == pytest.approx(min(every))
 
 
@@ -132,18 +132,18 @@ def test_cut_costs_what_the_maximum_flow_carries(strength, seed) -> None:
     """The two are equal, whatever the graph; SciPy's flow knows no grid, but whole numbers only."""
     generator = np.random.default_rng(seed)
     h, w = 37, 29
-    evidence = generator.integers(-50, 51, (h, w))
+    log_odds = generator.integers(-50, 51, (h, w))
     east, south = (generator.integers(0, int(20 * strength) + 1, (h, w)) for _ in range(2))
     east[:, -1] = south[-1] = 0
-    bonds = east.astype(float), south.astype(float)
-    lit = lit_by_cut(evidence.astype(float), lambda _: bonds, np.ones((h, w), bool), 20 * strength)
-    price = np.abs(evidence)[lit != (evidence > 0)].sum()
+    weights = east.astype(float), south.astype(float)
+    lit = lit_by_cut(log_odds.astype(float), lambda _: weights, np.ones((h, w), bool), 20 * strength)
+    price = np.abs(log_odds)[lit != (log_odds > 0)].sum()
     price += east[:, :-1][lit[:, 1:] != lit[:, :-1]].sum() + south[:-1][lit[1:] != lit[:-1]].sum()
 
     number = np.arange(h * w).reshape(h, w)
     source, sink = h * w, h * w + 1
-    arcs = [(np.full(h * w, source), number.ravel(), np.maximum(evidence, 0).ravel())]
-    arcs += [(number.ravel(), np.full(h * w, sink), np.maximum(-evidence, 0).ravel())]
+    arcs = [(np.full(h * w, source), number.ravel(), np.maximum(log_odds, 0).ravel())]
+    arcs += [(number.ravel(), np.full(h * w, sink), np.maximum(-log_odds, 0).ravel())]
     for a, b, room in ((number[:, :-1], number[:, 1:], east[:, :-1]), (number[:-1], number[1:], south[:-1])):
         arcs += [(a.ravel(), b.ravel(), room.ravel()), (b.ravel(), a.ravel(), room.ravel())]
     rows, columns, rooms = (np.concatenate(part) for part in zip(*arcs, strict=True))
@@ -153,8 +153,8 @@ def test_cut_costs_what_the_maximum_flow_carries(strength, seed) -> None:
 
 
 def test_of_equally_cheap_cuts_the_one_with_the_most_light_is_taken() -> None:
-    bonds = np.array([[1.0, 1.0, 0.0]]), np.zeros((1, 3))
-    assert lit_by_cut(np.array([[1.0, 0.0, -1.0]]), lambda _: bonds, np.ones((1, 3), bool), 1.0).all()
+    weights = np.array([[1.0, 1.0, 0.0]]), np.zeros((1, 3))
+    assert lit_by_cut(np.array([[1.0, 0.0, -1.0]]), lambda _: weights, np.ones((1, 3), bool), 1.0).all()
     apart = np.array([[0.5, 0.5, 0.0]]), np.zeros((1, 3))
     found = lit_by_cut(np.array([[1.0, 0.0, -1.0]]), lambda _: apart, np.ones((1, 3), bool), 1.0)
     assert found.tolist() == [[True, True, False]]
@@ -164,9 +164,9 @@ def test_bonds_give_way_to_one_light_alone() -> None:
     cosines = np.full((1, 3, 3), 0.8)
     cosines[:, 1:] *= 0.5  # all three: paint
     cosines[:, 2:, 0] = 0.02  # light 0 alone: shadow
-    bonds, _ = bonds_of_light(cosines, 0, np.zeros((1, 3), np.int32), 1.0, 0.3)
-    assert bonds[0, 0] > 0.95
-    assert bonds[0, 1] < 0.1
+    weights, _ = weights_of_light(cosines, 0, np.zeros((1, 3), np.int32), 1.0, 0.3)
+    assert weights[0, 0] > 0.95
+    assert weights[0, 1] < 0.1
 
 
 def test_refusals(stage) -> None:

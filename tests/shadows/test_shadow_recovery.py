@@ -355,8 +355,8 @@ def test_a_step_in_depth_does_not_bend_the_surface_beside_it(monkeypatch) -> Non
     away = np.ones((height, width), bool)
     away[:, 54:66] = False
 
-    def error(softness: float) -> float:
-        monkeypatch.setattr(surface, "_STEP_SOFTNESS", softness)
+    def error(robust_scale: float) -> float:
+        monkeypatch.setattr(surface, "_STEP_SCALE", robust_scale)
         solved = solve_surface(
             cosines, labels, lights, mask, first_normals=first, options=SurfaceOptions(noise=0.01)
         )

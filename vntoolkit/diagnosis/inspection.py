@@ -24,7 +24,7 @@ from vntoolkit.diagnosis.lamp_nearness import Nearness, finding_from_nearness, f
 from vntoolkit.diagnosis.outline import check_outline
 from vntoolkit.diagnosis.rig_checks import check_stated_focal, check_zoom, findings_from_rig
 from vntoolkit.diagnosis.surface_match import (
-    check_relatives,
+    check_mistakes,
     check_structure,
     note_of_levelled_paint,
     paint_may_hide_surface,
@@ -364,7 +364,7 @@ def check_mask(evidence: evidences.Evidence) -> list[Finding]:
 CAPTURE_CHECKS: tuple[tuple[Callable[[evidences.Evidence], list[Finding]], ...], ...] = (
     (check_mask,),
     (check_structure,),
-    (check_relatives,),
+    (check_mistakes,),
     (check_zoom,),
     (check_outline, check_calibrated_transfer, check_transfer),
     (check_gloss,),
@@ -389,7 +389,7 @@ def findings_from_evidence(
     """
     noted: list[Finding] = []
     for group in CAPTURE_CHECKS:
-        if check_relatives in group and closer is not None and paint_may_hide_surface(evidence):
+        if check_mistakes in group and closer is not None and paint_may_hide_surface(evidence):
             levelled = closer().levelled
             if note := note_of_levelled_paint(levelled, evidence):
                 evidence = levelled

@@ -104,13 +104,13 @@ def check_zoom(evidence: Evidence) -> list[Finding]:
     pixels = surface_pixels(evidence)
     if len(pixels) < FEWEST_PIXELS:
         return []
-    departures = np.stack([_departures(evidence.rig, pixels, zoom) for zoom in _ZOOMS])
-    spreads = departures.mean(axis=1)
+    residuals = np.stack([_residuals(evidence.rig, pixels, zoom) for zoom in _ZOOMS])
+    spreads = residuals.mean(axis=1)
     best, own = int(spreads.argmin()), int(np.abs(np.log(_ZOOMS)).argmin())
     zoom = float(_ZOOMS[best])
     if max(zoom, 1 / zoom) < _NOTED or spreads[best] > _LEFT * spreads[own]:
         return []
-    gain = departures[own] - departures[best]
+    gain = residuals[own] - residuals[best]
     parts = np.array([gain[pixels.blocks == block].mean() for block in np.unique(pixels.blocks)])
     z = float(parts.mean() / max(parts.std() / math.sqrt(len(parts)), 1e-9))
     if z < CLEAR_Z:
@@ -119,7 +119,7 @@ def check_zoom(evidence: Evidence) -> list[Finding]:
     return [Finding.of("zoom", zoom=zoom, because=because)]
 
 
-def _departures(rig: Rig, pixels: SurfacePixels, zoom: float) -> FloatArray:
+def _residuals(rig: Rig, pixels: SurfacePixels, zoom: float) -> FloatArray:
     """Return how far each log length lies from the median, (n,), with M read at places scaled by 1 / zoom."""
     assert rig.response.variation is not None
     camera = rig.camera

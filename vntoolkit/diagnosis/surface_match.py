@@ -38,7 +38,7 @@ _LEAST_LIGHT = 1e-3
 _Z = 3.0
 _LOG_FACTOR = 0.4
 _LEAST_AGREEMENT = 0.25  # of a reading that is worth more than chance
-_CERTAIN = 0.75  # an agreement above it that no mirror image comes near needs no relatives tried
+_CERTAIN = 0.75  # an agreement above it that no mirror image comes near needs no mistakes tried
 _SOUND = 0.9  # agreement of a surface that nothing dilutes, at least
 _FATAL_GAIN = 0.2  # of agreement
 _NOTED_TURN_DEG = 12.0  # photographs with lamps measured on a chrome ball show up to 7
@@ -128,7 +128,7 @@ def structure(evidence: Evidence) -> Structure:
     )
 
 
-def check_relatives(evidence: Evidence) -> list[Finding]:
+def check_mistakes(evidence: Evidence) -> list[Finding]:
     """Find the mistake about M that explains the footage clearly better than M does."""
     seen = structure(evidence)
     if seen.pixels < FEWEST_PIXELS or (seen.faces_camera and (seen.is_noise or seen.is_flat)):
@@ -139,7 +139,7 @@ def check_relatives(evidence: Evidence) -> list[Finding]:
         return []
     better = []
     if own.pixels >= FEWEST_PIXELS or own.front_share < 0.5:
-        better = _better(evidence, as_calibrated, _relatives_of(evidence))
+        better = _better(evidence, as_calibrated, _mistakes_of(evidence))
     if better:
         return [_finding(as_calibrated, better)]
     if own.front_share >= 0.5:
@@ -172,7 +172,7 @@ def _most_of_a_surface(evidence: Evidence) -> float:
     own = _own_sums(evidence)
     if own.pixels < FEWEST_PIXELS:
         return 0.0
-    return max(reading.agreement for reading in (_Reading.of("", "", own), *_relatives_of(evidence)))
+    return max(reading.agreement for reading in (_Reading.of("", "", own), *_mistakes_of(evidence)))
 
 
 def _undecided(evidence: Evidence, own: _Reading, mirrored: _Reading) -> list[Finding]:
@@ -384,11 +384,11 @@ def _own_sums(evidence: Evidence) -> _Sums:
 
 
 @lru_cache(maxsize=4)
-def _relatives_of(evidence: Evidence) -> tuple[_Reading, ...]:
-    return tuple(_relatives(evidence, _own_sums(evidence)))
+def _mistakes_of(evidence: Evidence) -> tuple[_Reading, ...]:
+    return tuple(_mistakes(evidence, _own_sums(evidence)))
 
 
-def _relatives(evidence: Evidence, own: _Sums) -> Iterator[_Reading]:
+def _mistakes(evidence: Evidence, own: _Sums) -> Iterator[_Reading]:
     """Yield what the footage looks like under every single mistake about M."""
     seen = outline(evidence)
 
@@ -452,26 +452,26 @@ def _read_otherwise(evidence: Evidence) -> Evidence:
     return evidence.painted.read_otherwise.levelled
 
 
-def _better(evidence: Evidence, own: _Reading, relatives: tuple[_Reading, ...]) -> list[_Reading]:
+def _better(evidence: Evidence, own: _Reading, mistakes: tuple[_Reading, ...]) -> list[_Reading]:
     """Return the readings that explain the footage better than M does, best first.
 
     Another curve makes hardly less of a surface of one paint, and lengths tell it better. But it can look
     like turned lamps, and of several paints it makes none: then it competes, by agreement alone.
     """
-    found = [reading for reading in relatives if reading.explains_better(own)]
+    found = [reading for reading in mistakes if reading.explains_better(own)]
     levelled = evidence.painted is not None
     if found or (levelled and own.agreement <= _LEAST_AGREEMENT):
         other = _read_otherwise(evidence)
         curve = other.transfer.to_text()
         remedy = f"give --transfer {curve} if the rig was calibrated so, else calibrate again"
         read = _Reading.of(f"with the footage read as {curve}", remedy, _own_sums(other))
-        relatives = (*relatives, replace(read, besides=own.besides))
+        mistakes = (*mistakes, replace(read, besides=own.besides))
     if levelled:
         # What errors of levelled paint add agrees with no M, and dilutes all readings alike.
-        best = max(reading.agreement for reading in (own, *relatives))
+        best = max(reading.agreement for reading in (own, *mistakes))
         sound = min(1.0, max(best, _LEAST_AGREEMENT) / _SOUND)
-        own, relatives = replace(own, sound=sound), tuple(replace(r, sound=sound) for r in relatives)
-    return sorted((r for r in relatives if r.explains_better(own)), key=lambda reading: reading.misfit)
+        own, mistakes = replace(own, sound=sound), tuple(replace(r, sound=sound) for r in mistakes)
+    return sorted((r for r in mistakes if r.explains_better(own)), key=lambda reading: reading.misfit)
 
 
 def _rotation(degrees: float) -> FloatArray:

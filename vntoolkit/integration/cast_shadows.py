@@ -40,7 +40,7 @@ _GRAZING = np.float32(0.35)  # … by more than this cosine is no rim
 _OUTLINE_PX = 2  # a surface turns out of sight within so many pixels, and what its normals say is not sure
 _STEEPEST = np.float32(8.0)  # slope of a pixel, by which a rim that is seen from the side counts
 _UNIT_VARIANCE = math.tan(math.radians(HALF_WEIGHT_DEG)) ** 2  # of a slope, squared, that a weight divides
-_LENGTH_DOUBT_PX = np.float32(1.0)  # standard deviation of a shadow's length, both ends together
+_LENGTH_DEVIATION_PX = np.float32(1.0)  # standard deviation of a shadow's length, both ends together
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -69,7 +69,7 @@ class DepthSteps:
 
 
 def with_steps(edges: EdgeField, steps: Float32Array, variances: Float32Array) -> EdgeField:
-    """Return the edges with known steps in their unit, each in doubt as its slope and its step are."""
+    """Return the edges with known steps in their unit, each as uncertain as its slope and its step are."""
     weight = edges.weight / (1.0 + edges.weight * variances / np.float32(_UNIT_VARIANCE))
     return EdgeField(difference=edges.difference + steps, weight=weight)
 
@@ -78,13 +78,13 @@ def steps_from_shadows(
     normal_map: NormalMap,
     labels: VisibilityLabels,
     lamp_at: Callable[[int, Points2], FloatArray],
-    doubts: Vector3,
+    deviations: Vector3,
     rays: RayField,
 ) -> DepthSteps | None:
     """Find the steps at the rims of what throws shadows; None where there are none.
 
     labels: (h, w), bit k set where lamp k arrives. lamp_at: returns unit vectors (n, 3) to lamp k at pixels
-    (n, 2). doubts: (3,), the directions' standard deviations in radians, infinite for a lamp that is not
+    (n, 2). deviations: (3,), the directions' standard deviations in radians, infinite for a lamp that is not
     known.
     """
     normals, mask = np.asarray(normal_map.normals_in_camera, np.float32), normal_map.mask
@@ -92,8 +92,8 @@ def steps_from_shadows(
     middle = np.array([[0.5 * width - 0.5, 0.5 * height - 0.5]])
     perspective = np.float32(rays.depth_scales_ray)
     edges, steps, variances = [], [], []
-    for k, doubt in enumerate(doubts):
-        if not np.isfinite(doubt):
+    for k, deviation in enumerate(deviations):
+        if not np.isfinite(deviation):
             continue
         bit = np.uint8(1 << k)
         lamp = lamp_at(k, middle)[0].astype(np.float32)
@@ -101,7 +101,7 @@ def steps_from_shadows(
         rims = _rims(labels, bit, mask, under)
         lamps = lamp_at(k, rims[:, 1::-1].astype(np.float64)).astype(np.float32)
         step, variance = _steps(
-            rims, lamps, labels, bit, under, normals, mask, np.float32(doubt), rays.affine, perspective
+            rims, lamps, labels, bit, under, normals, mask, np.float32(deviation), rays.affine, perspective
         )
         known = variance > 0.0
         first, last = np.minimum(rims[:, :2], rims[:, 2:]), np.maximum(rims[:, :2], rims[:, 2:])
@@ -184,14 +184,14 @@ def _rims(labels: Any, bit: Any, mask: Any, under: Any) -> Any:
 @njit(cache=True, error_model="numpy")
 def _steps(
     rims: Any, lamps: Any, labels: Any, bit: Any, under: Any, normals: Any, mask: Any,
-    doubt: Any, affine: Any, perspective: Any,
+    deviation: Any, affine: Any, perspective: Any,
 ) -> tuple[Any, Any]:  # fmt: skip
     """Return (n,) steps along the edges right and down, and their variances, 0 where nothing tells."""
     steps, variances = np.zeros((2, len(rims)), np.float32)
     for i in range(len(rims)):
         v, u, y, x = rims[i, 0], rims[i, 1], rims[i, 2], rims[i, 3]
         step, variances[i] = _step(
-            labels, bit, under, normals, mask, lamps[i], doubt, affine, perspective, v, u, y, x
+            labels, bit, under, normals, mask, lamps[i], deviation, affine, perspective, v, u, y, x
         )  # fmt: skip
         steps[i] = step if v < y or u < x else -step
     return steps, variances
@@ -239,7 +239,7 @@ def _way(affine: Any, perspective: Any, lamp: Any, v: int, u: int) -> tuple[Any,
 
 @njit(cache=True, error_model="numpy")
 def _step(
-    labels: Any, bit: Any, under: Any, normals: Any, mask: Any, lamp: Any, doubt: Any,
+    labels: Any, bit: Any, under: Any, normals: Any, mask: Any, lamp: Any, deviation: Any,
     affine: Any, perspective: Any, v: int, u: int, y: int, x: int,
 ) -> tuple[Any, Any]:  # fmt: skip
     """Return by how much depth changes from the pixel (u, v), shadowed, to its neighbour (x, y), and the
@@ -275,8 +275,8 @@ def _step(
         ahead += one
         best = max(best, -rise * stride * count - slopes)
         at_v, at_u = _nearest(y + ahead * step_v), _nearest(x + ahead * step_u)
-    turned = (one + rise * rise) * doubt * stride * count
-    variance = (rise * _LENGTH_DOUBT_PX) ** 2 + turned * turned
+    turned = (one + rise * rise) * deviation * stride * count
+    variance = (rise * _LENGTH_DEVIATION_PX) ** 2 + turned * turned
     if best >= zero or best * best < np.float32(4.0) * variance:
         return zero, zero
     return best, variance

@@ -52,7 +52,7 @@ def nats_over_grey(found: list[Material], searched: SearchedFrames) -> float:
     return float(max(by_lengths, gain + of_grey - steps - numbers))
 
 
-def in_doubt(found: list[Material], searched: SearchedFrames) -> list[Material]:
+def weighed_against_grey(found: list[Material], searched: SearchedFrames) -> list[Material]:
     """Return the materials with the turn of their normals if one grey paint is right after all."""
     grey, share = _grey(searched), 1.0 / (1.0 + np.exp(min(nats_over_grey(found, searched), 50.0)))
     logs = np.log([each.reflectance.values for each in found])
@@ -66,7 +66,7 @@ def in_doubt(found: list[Material], searched: SearchedFrames) -> list[Material]:
         )
         cosines = (one * other).sum(axis=1) / np.linalg.norm(one, axis=1) / np.linalg.norm(other, axis=1)
         turn_deg = float(np.degrees(np.arccos(np.median(cosines).clip(-1.0, 1.0)))) if len(cosines) else 0.0
-        doubtful.append(replace(each, doubt_deg=float(np.sqrt(share)) * turn_deg))
+        doubtful.append(replace(each, alternative_deg=float(np.sqrt(share)) * turn_deg))
     return doubtful
 
 

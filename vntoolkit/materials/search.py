@@ -74,13 +74,13 @@ _OF_SEAMS = 0.015
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Material:
-    """A material that was found. share: of the lit pixels. doubt_deg: root mean square turn of its normals by
-    what else the footage may show.
+    """A material that was found. share: of the lit pixels. alternative_deg: root mean square turn of its
+    normals by what else the footage may show.
     """
 
     reflectance: Reflectance
     share: float
-    doubt_deg: float = 0.0
+    alternative_deg: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

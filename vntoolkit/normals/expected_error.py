@@ -78,8 +78,8 @@ _KEPT = np.float32(1 / 8)  # … which is not all of it
 _PER_NOISE = np.float32(np.degrees(NINE_OF_TEN_IN_PLANE) ** 2)
 _PER_TURN = np.float32(np.degrees(_OF_ELLIPSOID) ** 2)
 _PER_NEARNESS = np.float32(np.degrees(OF_ANGLE) ** 2)
-_PER_DEPARTURE = np.float32(np.degrees(_OF_LENGTH) ** 2)
-_PER_DEPARTURES = np.float32(np.degrees(_OF_LENGTHS) ** 2)
+_PER_MISFIT = np.float32(np.degrees(_OF_LENGTH) ** 2)
+_PER_MISFITS = np.float32(np.degrees(_OF_LENGTHS) ** 2)
 _PER_HALF_WEIGHT = np.float32(1.0 / HALF_WEIGHT_DEG)
 _PER_DISTANCE = np.float32(np.degrees(_OF_TWO_LIGHTS) ** 2)
 
@@ -123,34 +123,34 @@ def with_expected_error(
     return replace(normal_map, error_deg=error, noise_deg=noise_deg, weight=weight)
 
 
-def with_doubt(normal_map: NormalMap, doubt_deg: Float32Array) -> NormalMap:
+def with_added_error(normal_map: NormalMap, added_deg: Float32Array) -> NormalMap:
     """Return the map with a further, independent error (h, w) in degrees, and the weight from both."""
     assert normal_map.error_deg is not None
     error, weight = np.empty((2, *normal_map.mask.shape), np.float32)
-    _add_doubt(normal_map.error_deg, doubt_deg, normal_map.mask, error, weight)
+    _add_error(normal_map.error_deg, added_deg, normal_map.mask, error, weight)
     return replace(normal_map, error_deg=error, weight=weight)
 
 
-def doubts_of_materials(
+def errors_of_materials(
     numbers: ByteArray, bounds_deg: Float32Array, turned_deg: Float32Array | None
 ) -> Float32Array:
-    """Return (h, w), degrees: the bound (m,) of each pixel's material, and a further, independent doubt.
+    """Return (h, w), degrees: the bound (m,) of each pixel's material, and a further, independent error.
 
     numbers: (h, w), of the materials. turned_deg: (h, w), None for 0.
     """
-    doubts = np.empty(numbers.shape, np.float32)
-    _fill_doubts(
-        numbers, bounds_deg, np.zeros((1, 1), np.float32) if turned_deg is None else turned_deg, doubts
+    errors = np.empty(numbers.shape, np.float32)
+    _fill_errors(
+        numbers, bounds_deg, np.zeros((1, 1), np.float32) if turned_deg is None else turned_deg, errors
     )
-    return doubts
+    return errors
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
-def _add_doubt(told: Any, doubt: Any, mask: Any, error: Any, weight: Any) -> None:
+def _add_error(stated: Any, added: Any, mask: Any, error: Any, weight: Any) -> None:
     for v in prange(len(mask)):
         for u in range(mask.shape[1]):
-            e = min(np.sqrt(told[v, u] * told[v, u] + doubt[v, u] * doubt[v, u]), _LARGEST_DEG)
-            e = max(e, told[v, u])  # of one light or none
+            e = min(np.sqrt(stated[v, u] * stated[v, u] + added[v, u] * added[v, u]), _LARGEST_DEG)
+            e = max(e, stated[v, u])  # of one light or none
             half = e * _PER_HALF_WEIGHT
             error[v, u] = e if mask[v, u] else np.float32(0.0)
             weight[v, u] = (
@@ -159,7 +159,7 @@ def _add_doubt(told: Any, doubt: Any, mask: Any, error: Any, weight: Any) -> Non
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
-def _fill_doubts(numbers: Any, bounds: Any, turned: Any, out: Any) -> None:
+def _fill_errors(numbers: Any, bounds: Any, turned: Any, out: Any) -> None:
     """turned: (1, 1) where it is 0 everywhere."""
     is_turned = turned.size > 1
     for v in prange(len(numbers)):
@@ -265,7 +265,7 @@ def _bound_row(
     largest = _LARGEST_DEG * _LARGEST_DEG
     s0, s1, s2, s3, s4, s5, s6, s7, s8 = k[21], k[22], k[23], k[24], k[25], k[26], k[27], k[28], k[29]
     count = len(r)
-    departures, rest = np.empty(count, np.float32), np.empty(count, np.float32)
+    misfits, rest = np.empty(count, np.float32), np.empty(count, np.float32)
     for u in range(count):  # without a branch: eight pixels at a time
         red, green, blue = r[u] - a0, g[u] - a1, b[u] - a2
         x = i00 * red + i01 * green + i02 * blue
@@ -288,9 +288,9 @@ def _bound_row(
         near = max(n0 * n0 + n1 * n1 + n2 * n2 - longer * longer, zero)
         foretold = max(one + along + longer + f0 + at * (f1 + at * f2), LEAST_FACING)
         measured = max(size * inverse_albedo, SHORTEST)
-        departure = abs(measured * measured - foretold * foretold) / (measured * foretold) * half
-        departure = min(departure, one)  # sinh of the log length
-        departures[u] = departure * departure if seen else zero
+        misfit = abs(measured * measured - foretold * foretold) / (measured * foretold) * half
+        misfit = min(misfit, one)  # sinh of the log length
+        misfits[u] = misfit * misfit if seen else zero
         rest[u] = fixed + _PER_TURN * told * turn + _PER_NEARNESS * near + _PER_NOISE * (noise[u] + lost[u])
         r[u], g[u], b[u], length[u] = x, y, z, size
     if found is not None:
@@ -302,8 +302,8 @@ def _bound_row(
         facing = b[u] * b[u]
         leaning = one - facing
         of_turn = eight * noise[u] / (one + facing + along_noise * leaning)
-        own = departures[u] - of_turn * (leaning + along_noise * facing)
-        own = max(_PER_DEPARTURE * own if unlit[u] == zero else zero, _PER_DEPARTURES * around_cell[u])
+        own = misfits[u] - of_turn * (leaning + along_noise * facing)
+        own = max(_PER_MISFIT * own if unlit[u] == zero else zero, _PER_MISFITS * around_cell[u])
         total = rest[u] + own + unlit[u] if length[u] > SHORTEST else largest
         angle = np.sqrt(max(min(total, largest), unlit[u]))
         share = angle * _PER_HALF_WEIGHT

@@ -121,7 +121,7 @@ def evidence_of_frame(
     """Return noise, where it was seen, what `evidence_row` reads, and the ellipsoid.
 
     Noise: (⌈h/16⌉, ⌈w/16⌉), radians²; seen: the same, 0 where neighbours tell it. Rows: (3, ⌈h/16⌉, w), noise
-    and lost relief, radians², and squared departures from the ellipsoid. Ellipsoid: see `fit_ellipsoid`.
+    and lost relief, radians², and squared residuals from the ellipsoid. Ellipsoid: see `fit_ellipsoid`.
     """
     height, width = mask.shape
     cells = (-(-height // _CELL), -(-width // _CELL))
@@ -135,9 +135,9 @@ def evidence_of_frame(
     step = max(1, int(math.sqrt(max(known, mask.size // _MOST_PER_KNOWN) // _SAMPLES)))
     samples = np.empty((5, -(-height // step) * -(-width // step)))
     count = _samples_kernel(*light, mask, labels, c, step, samples)
-    ellipsoid, departures = fit_ellipsoid(samples[:, :count], (height, width), c.nearness)
+    ellipsoid, residuals = fit_ellipsoid(samples[:, :count], (height, width), c.nearness)
     u, v = samples[3:, :count].astype(np.intp) // _CELL
-    sums = [np.bincount(v * cells[1] + u, weights, math.prod(cells)) for weights in (departures**2, None)]
+    sums = [np.bincount(v * cells[1] + u, weights, math.prod(cells)) for weights in (residuals**2, None)]
     around = _means_of_cells(np.array(sums, np.float32).reshape(2, *cells))
     by_noise = np.float32(1 / _NEAR_PIXELS) * noise  # at most, in a mean of nine
     rows[2] = _along_rows(np.maximum(around - by_noise, np.float32(0)), width)

@@ -97,9 +97,9 @@ def _robust_normals(samples: FloatArray, lights: Points) -> tuple[Points, FloatA
     left = np.flatnonzero(solved)
     strengths = np.linalg.norm(lights, axis=1)
     while left.size:
-        departures = use[left] * np.abs(samples[left] - scaled[left] @ lights.T) / strengths
-        worst = departures.argmax(axis=1)
-        off = departures.max(axis=1) > _OUTLIER_SHARE * np.linalg.norm(scaled[left], axis=1)
+        residuals = use[left] * np.abs(samples[left] - scaled[left] @ lights.T) / strengths
+        worst = residuals.argmax(axis=1)
+        off = residuals.max(axis=1) > _OUTLIER_SHARE * np.linalg.norm(scaled[left], axis=1)
         off &= use[left].sum(axis=1) > fewest_lights
         left, worst = left[off], worst[off]
         use[left, worst] = False

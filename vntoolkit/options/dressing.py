@@ -143,7 +143,7 @@ class Blend(Enum):
 FIGURE_HEIGHT_M = 1.65  # toes to crown of an average adult, as skeletons measure it
 
 
-class Carrier(Enum):
+class AnimationStorage(Enum):
     """What moves the cloth in a USD or GLB.
 
     SKIN: joint weights and blend shapes. CACHE: every vertex of every frame, exact and large.
@@ -179,7 +179,7 @@ class DressOptions(Options):
     """Largest stretch of a triangle's edge where the parts of two bones meet. A triangle that the motion
     stretches more is cut: the capture joined what only touched, such as sleeve and flank. 0 cuts nothing;
     weights by distance cut nothing either."""
-    carrier: Named[Carrier, Literal["skin", "cache"]] = named(Carrier.SKIN)
+    carrier: Named[AnimationStorage, Literal["skin", "cache"]] = named(AnimationStorage.SKIN)
     """What moves the cloth in USD and GLB: a skin (joint weights, and blend shapes for the folds), or a cache
     of every vertex in every frame, exact and large. Dual quaternions are written as a cache."""
     centre: bool = True

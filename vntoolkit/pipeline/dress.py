@@ -27,7 +27,7 @@ from vntoolkit.io.maps_and_meshes.usd import write_usd_sequence, write_usd_skin
 from vntoolkit.io.motion.asf import read_asf_amc
 from vntoolkit.io.motion.bvh import read_bvh
 from vntoolkit.io.results.sequences import read_mesh_sequence
-from vntoolkit.options.dressing import Blend, Carrier, DressOptions, Garment, MotionUpAxis
+from vntoolkit.options.dressing import AnimationStorage, Blend, DressOptions, Garment, MotionUpAxis
 from vntoolkit.pipeline.texture_files import read_texture, texture_of_tracks, with_captured_colours
 from vntoolkit.pipeline.tracked_folder import read_track_record, read_tracks, recorded_camera
 from vntoolkit.shipped import shipped_files
@@ -68,7 +68,7 @@ class DressedFigure:
     weights: SkinWeights
     blend: Blend
     captured: CapturedMotion
-    carrier: Carrier
+    carrier: AnimationStorage
     attached_in: int = 0
     is_centred: bool = False
     cut_triangles: int = 0
@@ -215,7 +215,7 @@ def dress(
         fitting=fitting,
         weights=weights,
         blend=options.blend,
-        carrier=options.carrier if options.blend is Blend.LINEAR else Carrier.CACHE,
+        carrier=options.carrier if options.blend is Blend.LINEAR else AnimationStorage.CACHE,
         attached_in=attached_in,
         captured=CapturedMotion(attached.vertices, weights, parts, fitting.rest_from_first, faces),
         is_centred=options.centre,
@@ -330,7 +330,7 @@ def write_dressed_figure(
             meter.add(vertices, pose_of_frame(dressed.motion, index))
             yield vertices + offset
 
-    if dressed.carrier is Carrier.SKIN and is_file:
+    if dressed.carrier is AnimationStorage.SKIN and is_file:
         clip = dressed.skin().moved(offset)
         if is_glb:
             count = write_glb_skin(out, clip, camera=camera, texture=texture)

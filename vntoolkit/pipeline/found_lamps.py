@@ -45,16 +45,16 @@ def find_lamps(
         seen = _unlit_by_lamp(guessed, options, footage, frames)
         unlit = [np.concatenate(pair) for pair in zip(unlit, seen, strict=True)]
         lamps = directions_from_unlit(unlit, alone)
-        doubts_deg = np.degrees(lamps.doubts)
-        in_words = lamps_in_words(tuple(doubts_deg))
-        helps = doubts_deg <= _BETTER_DEG
+        deviations_deg = np.degrees(lamps.deviations)
+        in_words = lamps_in_words(tuple(deviations_deg))
+        helps = deviations_deg <= _BETTER_DEG
         found = _with_colours(rig, np.where(helps[:, None], lamps.central, alone.light_directions))
         is_second_look = guessed is not rig
-        if found is not None and is_second_look and doubts_deg.max() <= SURE_DEG:
+        if found is not None and is_second_look and deviations_deg.max() <= SURE_DEG:
             colours = found.response.light_colours
             if colours is None or (colours < _LEAST_LIGHT * colours.max(axis=1, keepdims=True)).any():
                 break
-            response = replace(found.response, light_doubts_deg=np.round(doubts_deg, 2))
+            response = replace(found.response, light_doubts_deg=np.round(deviations_deg, 2))
             return replace(found, response=response), ""
         if found is not None and helps.any():
             guessed, unlit = found, _nothing()
@@ -63,15 +63,15 @@ def find_lamps(
     return rig, in_words
 
 
-def lamps_in_words(doubts_deg: Sequence[float]) -> str:
+def lamps_in_words(deviations_deg: Sequence[float]) -> str:
     """Return what shadows did not tell of the lamps, as part of a warning; empty if nobody looked."""
-    if not doubts_deg:
+    if not deviations_deg:
         return ""
-    if max(doubts_deg) <= SURE_DEG:
+    if max(deviations_deg) <= SURE_DEG:
         return "with the lamps where shadows on it tell them, M would need negative light: "
     told = ", ".join(
-        f"lamp {k} to {doubt:.1f} degrees" if doubt < _NOTHING_DEG else f"lamp {k} not at all"
-        for k, doubt in enumerate(doubts_deg)
+        f"lamp {k} to {deviation:.1f} degrees" if deviation < _NOTHING_DEG else f"lamp {k} not at all"
+        for k, deviation in enumerate(deviations_deg)
     )
     return f"shadows on it do not tell where the lamps stand ({told}; {SURE_DEG:.0f} are needed of each): "
 

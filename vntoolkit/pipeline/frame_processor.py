@@ -187,7 +187,7 @@ class FrameProcessor:
         errors_deg = np.array([each.error_deg for each in self._materials])
         bounds_deg = (expected_error.OF_ANGLE * errors_deg).astype(np.float32)
         if bounds_deg.any():
-            turned_deg = expected_error.doubts_of_materials(materials, bounds_deg, turned_deg)
+            turned_deg = expected_error.errors_of_materials(materials, bounds_deg, turned_deg)
         return PreparedFrame(
             frame=frame, mask=mask, linear=linear, materials=materials, turned_deg=turned_deg
         )
@@ -290,7 +290,7 @@ class FrameProcessor:
                 self._residual_deg, self._blur_px, self._residual_of_pixels,
             )  # fmt: skip
             if prepared.turned_deg is not None:
-                normal_map = expected_error.with_doubt(normal_map, prepared.turned_deg)
+                normal_map = expected_error.with_added_error(normal_map, prepared.turned_deg)
         result = _result(prepared, normal_map, clipped_share)
         return replace(result, labels=labels, lamps=lamps)
 
@@ -357,7 +357,7 @@ class FrameProcessor:
             from vntoolkit.integration.slopes import rays_from_camera
 
             rays = rays_from_camera(self.camera)
-            steps = steps_from_shadows(result.normal_map, result.labels, lamps.at, lamps.doubts, rays)
+            steps = steps_from_shadows(result.normal_map, result.labels, lamps.at, lamps.deviations, rays)
         return carried.integrator.integrate(result.normal_map, steps)
 
     def _depth(self, result: FrameResult, carried: Carried) -> DepthMap:

@@ -1,6 +1,7 @@
 """The subject's materials, measured once on the first frames of a run that show it."""
 
 import logging
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -9,7 +10,7 @@ import numpy as np
 from vntoolkit.arrays import FloatArray, Mask, MaterialLabels, Vector3
 from vntoolkit.errors import BadInput
 from vntoolkit.io.results.manifest import MaterialEntry
-from vntoolkit.materials.grey_paint import CLEAR, in_doubt, nats_over_grey
+from vntoolkit.materials.grey_paint import CLEAR, nats_over_grey, weighed_against_grey
 from vntoolkit.materials.labelling import LabelState, MaterialLabeller
 from vntoolkit.materials.relighting import relit
 from vntoolkit.materials.search import (
@@ -87,11 +88,11 @@ def measured_materials(
     found = _better_than_grey(find_materials(searched, count), searched, count)
     if found:
         seen = LabelledFrame.by(found, levelled[0], subjects[0], central)
-        found = _told(found, choice)
+        found = _known_apart(found, choice)
         found, pigments = _with_pigments(found, seen)
         found = _explaining(found, pigments, seen, choice)
     if found:
-        return list(map(_entry, in_doubt(found, searched), pigments)), seen
+        return list(map(_entry, weighed_against_grey(found, searched), pigments)), seen
     return [], None
 
 
@@ -144,10 +145,10 @@ def refitted_materials(
     labeller = replace(labeller, reflectances=values)
     seen = replace(first, frame=far[0], mask=subjects[0], labeller=labeller)
     found, pigments = _with_pigments(found, seen)
-    return list(map(_entry, in_doubt(found, searched), pigments))
+    return list(map(_entry, weighed_against_grey(found, searched), pigments))
 
 
-def _told(found: list[Material], choice: MaterialSearch | int) -> list[Material]:
+def _known_apart(found: list[Material], choice: MaterialSearch | int) -> list[Material]:
     """Return the materials, none where nothing can be told; say which are uncertain."""
     worst = max(material.reflectance.error_deg for material in found)
     if worst <= WORST_ERROR_DEG:
@@ -262,7 +263,7 @@ def _entry(material: Material, pigment: Vector3 | None) -> MaterialEntry:
     first, second, third = (_short(value) for value in fitted.values)
     return MaterialEntry(
         reflectance=(first, second, third),
-        error_deg=round(float(np.linalg.norm([fitted.error_deg, fitted.lamps_deg, material.doubt_deg])), 2),
+        error_deg=round(math.hypot(fitted.error_deg, fitted.lamps_deg, material.alternative_deg), 2),
         residual=round(fitted.residual, 4),
         share=round(material.share, 4),
         pigment=None if pigment is None else (_short(pigment[0]), _short(pigment[1]), _short(pigment[2])),

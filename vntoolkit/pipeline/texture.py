@@ -172,8 +172,8 @@ def _off_px(sequence: MeshSequence, row: int, texels: Texels, camera: Camera) ->
     first, last = (camera.project(np.array(sequence.vertices[at])) for at in (before, after))
     speed = np.linalg.norm(last - first, axis=1) / max(after - before, 1)
     uncertainty = sequence.uncertainty_px
-    doubt = np.zeros(len(speed)) if uncertainty is None else np.array(uncertainty[row], dtype=np.float64)
-    variance = speed**2 / 12 + doubt**2  # of a shutter that is open throughout, and of the track
+    of_track = np.zeros(len(speed)) if uncertainty is None else np.array(uncertainty[row], dtype=np.float64)
+    variance = speed**2 / 12 + of_track**2  # of a shutter that is open throughout, and of the track
     with np.errstate(invalid="ignore"):  # lost vertices have an infinite one
         return np.sqrt(texels.of_vertices(variance, sequence.template.faces) + _SAMPLED_PX**2)
 

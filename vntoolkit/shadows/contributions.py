@@ -129,10 +129,10 @@ def contributions_from_rgb(rgb: FloatArray, response: LightResponse, trust: Weig
     """Split an image (h, w, 3) by light. trust: (h, w), 1, less where clipped."""
     contributions, normals = np.empty_like(rgb), np.empty_like(rgb)
     length = np.empty(rgb.shape[:2], np.float32)
-    haze, rest = _haze_of(response)
+    ambient, rest = _ambient_of(response)
     _split_kernel(
         flat(rgb), numbers_of(response.contributions_from_rgb), numbers_of(response.inverse),
-        numbers_of(haze), np.float32(rest), flat(contributions), length, flat(normals),
+        numbers_of(ambient), np.float32(rest), flat(contributions), length, flat(normals),
     )  # fmt: skip
     return LightContributions(
         contributions=contributions,
@@ -149,10 +149,10 @@ def _trust_of(frame: LinearFrame) -> Weight:
     return np.where(frame.clipped, np.float32(_CLIPPED_TRUST), np.float32(1.0))
 
 
-def _haze_of(response: LightResponse) -> tuple[FloatArray, float]:
+def _ambient_of(response: LightResponse) -> tuple[FloatArray, float]:
     """Return w = M⁻¹a, (3,) float32, and 1 − |w|²."""
-    haze: FloatArray = (response.inverse @ response.ambient).astype(np.float32)
-    return haze, max(1.0 - float(haze @ haze), _SMALLEST_REST)
+    ambient: FloatArray = (response.inverse @ response.ambient).astype(np.float32)
+    return ambient, max(1.0 - float(ambient @ ambient), _SMALLEST_REST)
 
 
 def brighter_than(frame: LinearFrame, response: LightResponse, darkest: float, mask: Mask) -> Mask:
@@ -164,7 +164,7 @@ def brighter_than(frame: LinearFrame, response: LightResponse, darkest: float, m
 
 @njit(cache=True, error_model="numpy")
 def _split_kernel(
-    rgb: FloatArray, split: Numbers, inverse: Numbers, haze: Numbers, rest: np.float32,
+    rgb: FloatArray, split: Numbers, inverse: Numbers, ambient: Numbers, rest: np.float32,
     contributions: FloatArray, length: FloatArray, normals: FloatArray,
 ) -> None:  # fmt: skip
     """Fill the contributions, the albedo and the normal. rest: 1 − |w|²."""
@@ -175,7 +175,7 @@ def _split_kernel(
             r, g, b = line[3 * u], line[3 * u + 1], line[3 * u + 2]
             seen[3 * u], seen[3 * u + 1], seen[3 * u + 2] = _turned(split, r, g, b)
             normal[3 * u], normal[3 * u + 1], normal[3 * u + 2], size[u] = _scaled_normal(
-                r, g, b, inverse, haze, rest
+                r, g, b, inverse, ambient, rest
             )
 
 
@@ -206,19 +206,19 @@ def _turned(matrix: Numbers, x: Any, y: Any, z: Any) -> tuple[Any, Any, Any]:
 
 @njit(cache=True, forceinline=True, error_model="numpy")
 def _scaled_normal(
-    r: Any, g: Any, b: Any, inverse: Numbers, haze: Numbers, rest: Any
+    r: Any, g: Any, b: Any, inverse: Numbers, ambient: Numbers, rest: Any
 ) -> tuple[Any, Any, Any, Any]:
     """Solve r = ρ (M n + a), |n| = 1, for the normal n and the albedo ρ.
 
-    With s = M⁻¹r and w = M⁻¹a (haze), |s − ρ w| = ρ is a quadratic in ρ with one positive root as long as the
-    ambient light is weaker than the lamps. rest: 1 − |w|². Where there is no light the normal faces the
+    With s = M⁻¹r and w = M⁻¹a (ambient), |s − ρ w| = ρ is a quadratic in ρ with one positive root as long as
+    the ambient light is weaker than the lamps. rest: 1 − |w|². Where there is no light the normal faces the
     viewer.
     """
     x, y, z = _turned(inverse, r, g, b)
-    along = x * haze[0] + y * haze[1] + z * haze[2]
+    along = x * ambient[0] + y * ambient[1] + z * ambient[2]
     squared = x * x + y * y + z * z
     albedo = (np.sqrt(along * along + rest * squared) - along) / rest
-    x, y, z = x - albedo * haze[0], y - albedo * haze[1], z - albedo * haze[2]
+    x, y, z = x - albedo * ambient[0], y - albedo * ambient[1], z - albedo * ambient[2]
     long = np.sqrt(x * x + y * y + z * z)
     sound = long > np.float32(1e-6)
     over = np.float32(1.0) / (long if sound else np.float32(1.0))

@@ -1,4 +1,4 @@
-"""Labels by a minimum cut: the cheapest labelling of pixels with evidence each and prices between them."""
+"""Labels by a minimum cut: the cheapest labelling of pixels with log odds each and prices between them."""
 
 from collections.abc import Callable
 from typing import Any
@@ -10,39 +10,39 @@ from vntoolkit.arrays import BoolArray, Float64Array, FloatArray, Int32Array, In
 from vntoolkit.native import njit
 
 Nodes = Int32Array
-_WEAKEST_BOND = 0.05  # part of the full price that a change of label across a sharp edge still costs
+_LEAST_WEIGHT = 0.05  # part of the full price that a change of label across a sharp edge still costs
 _DARK_COSINE = 0.03  # added to a cosine before its logarithm: noise is no edge
 _SHADOW, _LIT, _NOWHERE = -1, -2, -3  # what is no node: its label is known, or there is nothing
 
 
 def lit_by_cut(
-    evidence: FloatArray,
-    bonds: Callable[[Nodes], tuple[FloatArray, FloatArray]],
+    log_odds: FloatArray,
+    weights: Callable[[Nodes], tuple[FloatArray, FloatArray]],
     mask: Mask,
     strongest: float,
 ) -> BoolArray:
-    """Minimise Σ |evidence| over pixels labelled against it plus the bonds cut (boykov2001).
+    """Minimise Σ |log_odds| over pixels labelled against it plus the weights cut (boykov2001).
 
-    evidence: (h, w), positive speaks for light, negative for shadow. bonds: returns those to the east and to
-    the south neighbour, (h, w) each, at least 0, the price of a change there, known at least at nodes, whose
-    number is not negative; those of the last column and row lead nowhere. strongest: no bond costs more.
-    Returns (h, w), True where lit (and outside `mask`). Of several cheapest labellings it is the one with the
-    most light.
+    log_odds: (h, w), positive speaks for light, negative for shadow. weights: returns those to the east and
+    to the south neighbour, (h, w) each, at least 0, the price of a change there, known at least at nodes,
+    whose number is not negative; those of the last column and row lead nowhere. strongest: no weight costs
+    more. Returns (h, w), True where lit (and outside `mask`). Of several cheapest labellings it is the one
+    with the most light.
 
-    A pixel whose evidence outweighs its four bonds has its label whatever its neighbours have; only the
+    A pixel whose log odds outweigh its four weights has its label whatever its neighbours have; only the
     others enter the cut.
     """
-    given = np.asarray(evidence)
+    given = np.asarray(log_odds)
     number: Nodes = np.empty(mask.shape, np.int32)
     lit: BoolArray = np.empty(mask.shape, np.bool_)
     count = _number_kernel(given, mask, 4.0 * strongest, number, lit)
     if count:
-        _cut_kernel(given, *bonds(number), number, count, lit)
+        _cut_kernel(given, *weights(number), number, count, lit)
     return lit
 
 
 @njit(cache=True)
-def _number_kernel(evidence: FloatArray, mask: Mask, most: Any, number: Nodes, lit: Mask) -> int:
+def _number_kernel(log_odds: FloatArray, mask: Mask, most: Any, number: Nodes, lit: Mask) -> int:
     """Number the pixels that the cut must decide, and label the others."""
     h, w = mask.shape
     count = 0
@@ -51,9 +51,9 @@ def _number_kernel(evidence: FloatArray, mask: Mask, most: Any, number: Nodes, l
             lit[v, u] = True
             if not mask[v, u]:
                 number[v, u] = _NOWHERE
-            elif evidence[v, u] >= most:
+            elif log_odds[v, u] >= most:
                 number[v, u] = _LIT
-            elif evidence[v, u] < -most:
+            elif log_odds[v, u] < -most:
                 number[v, u] = _SHADOW
                 lit[v, u] = False
             else:
@@ -64,33 +64,33 @@ def _number_kernel(evidence: FloatArray, mask: Mask, most: Any, number: Nodes, l
 
 @njit(cache=True)
 def _cut_kernel(
-    evidence: FloatArray, east: FloatArray, south: FloatArray, number: Nodes, count: int,
+    log_odds: FloatArray, east: FloatArray, south: FloatArray, number: Nodes, count: int,
     lit: Mask,
 ) -> None:  # fmt: skip
     """Label the numbered pixels."""
     h, w = number.shape
-    pull, room = np.zeros(count), np.zeros((count, 4))
+    excess, capacity = np.zeros(count), np.zeros((count, 4))
     neighbour = np.full((count, 4), -1, np.int32)
     for v in range(h):
         for u in range(w):
             i = number[v, u]
             if i < 0:
                 continue
-            pull[i] += evidence[v, u]
+            excess[i] += log_odds[v, u]
             for way in range(4):  # east, west, south, north
                 y, x = v + (way == 2) - (way == 3), u + (way == 0) - (way == 1)
                 if y < 0 or x < 0 or y >= h or x >= w or number[y, x] == _NOWHERE:
                     continue
-                bond = east[v, min(u, x)] if way < 2 else south[min(v, y), u]
+                weight = east[v, min(u, x)] if way < 2 else south[min(v, y), u]
                 j = number[y, x]
                 if j == _LIT:
-                    pull[i] += bond
+                    excess[i] += weight
                 elif j == _SHADOW:
-                    pull[i] -= bond
+                    excess[i] -= weight
                 else:
                     neighbour[i, way] = j
-                    room[i, way] = bond
-    shadow = _cut(pull, room, neighbour)
+                    capacity[i, way] = weight
+    shadow = _cut(excess, capacity, neighbour)
     for v in range(h):
         for u in range(w):
             if number[v, u] >= 0:
@@ -98,22 +98,22 @@ def _cut_kernel(
 
 
 @njit(cache=True)
-def _cut(pull: Float64Array, room: Float64Array, neighbour: Int32Array) -> BoolArray:
+def _cut(excess: Float64Array, capacity: Float64Array, neighbour: Int32Array) -> BoolArray:
     """Push as much flow as the graph takes; return the nodes that could still pass some on to a sink.
 
     Dinic's algorithm (dinic1970): all shortest paths are filled, then all that are longer by one, and so on.
-    Sources are the nodes of positive pull, sinks those of negative: each ends with what it has left. pull:
-    (n,); room: (n, 4), what fits through to the next node east, west, south and north. Both are changed.
-    neighbour: (n, 4), that node, or -1.
+    Sources are the nodes of positive excess, sinks those of negative: each ends with what it has left.
+    excess: (n,); capacity: (n, 4), what fits through to the next node east, west, south and north. Both
+    are changed. neighbour: (n, 4), that node, or -1.
     """
-    count = pull.size
+    count = excess.size
     distance = np.full(count, -1, np.int32)  # to the nearest sink that it can reach
     turn = np.zeros(count, np.int8)  # the way that a node tries; those before it lead nowhere
     queue = np.empty(count, np.int32)
     path = np.empty(count, np.int32)
-    sinks = np.flatnonzero(pull < 0.0)
+    sinks = np.flatnonzero(excess < 0.0)
     while True:
-        sinks = sinks[pull[sinks] < 0.0]
+        sinks = sinks[excess[sinks] < 0.0]
         end = sinks.size
         queue[:end] = sinks
         distance[sinks] = 0
@@ -124,26 +124,26 @@ def _cut(pull: Float64Array, room: Float64Array, neighbour: Int32Array) -> BoolA
             head += 1
             for way in range(4):
                 j = neighbour[i, way]
-                if j >= 0 and distance[j] < 0 and room[j, way ^ 1] > 0.0:
+                if j >= 0 and distance[j] < 0 and capacity[j, way ^ 1] > 0.0:
                     distance[j] = distance[i] + 1
                     turn[j] = 0
                     queue[end] = j
                     end += 1
-                    if pull[j] > 0.0:
+                    if excess[j] > 0.0:
                         nearest = distance[j]
         if nearest > count:
             return distance >= 0
         for k in range(end):
             if distance[queue[k]] == nearest:
-                _drain(queue[k], pull, room, neighbour, distance, turn, path)
+                _drain(queue[k], excess, capacity, neighbour, distance, turn, path)
         distance[queue[:end]] = -1
 
 
 @njit(cache=True)
 def _drain(
     source: int,
-    pull: Float64Array,
-    room: Float64Array,
+    excess: Float64Array,
+    capacity: Float64Array,
     neighbour: Int32Array,
     distance: Int32Array,
     turn: IntArray,
@@ -151,22 +151,22 @@ def _drain(
 ) -> None:
     """Send what a source has down every way on which each step comes closer to a sink."""
     length, i = 0, source
-    while pull[source] > 0.0:
+    while excess[source] > 0.0:
         if distance[i] == 0:
-            flow = min(pull[source], -pull[i])
+            flow = min(excess[source], -excess[i])
             for k in range(length):
-                flow = min(flow, room[path[k], turn[path[k]]])
+                flow = min(flow, capacity[path[k], turn[path[k]]])
             for k in range(length):
                 way = turn[path[k]]
-                room[path[k], way] -= flow
-                room[neighbour[path[k], way], way ^ 1] += flow
-            pull[source] -= flow
-            pull[i] += flow
+                capacity[path[k], way] -= flow
+                capacity[neighbour[path[k], way], way ^ 1] += flow
+            excess[source] -= flow
+            excess[i] += flow
             length, i = 0, source
         elif turn[i] < 4:
             j = neighbour[i, turn[i]]
-            closer = j >= 0 and distance[j] == distance[i] - 1 and (distance[j] > 0 or pull[j] < 0.0)
-            if closer and room[i, turn[i]] > 0.0:
+            closer = j >= 0 and distance[j] == distance[i] - 1 and (distance[j] > 0 or excess[j] < 0.0)
+            if closer and capacity[i, turn[i]] > 0.0:
                 path[length] = i
                 length, i = length + 1, j
             else:
@@ -179,18 +179,18 @@ def _drain(
             return
 
 
-def bonds_of_light(
+def weights_of_light(
     cosines: FloatArray, light: int, number: Nodes, strength: float, contrast: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Bonds that give way where this light alone changes: paint and folds change the other lights too.
+    """Weights that give way where this light alone changes: paint and folds change the other lights too.
 
     cosines: (h, w, 3). number: (h, w), see `lit_by_cut`. strength: full price. contrast: difference of log
-    cosines, between this light and the more similar of the other two, at which a bond falls to 1/e. Returns
-    the bonds to the east and to the south (h, w), known where one of their ends is a node.
+    cosines, between this light and the more similar of the other two, at which a weight falls to 1/e. Returns
+    the weights to the east and to the south (h, w), known where one of their ends is a node.
     """
     given = np.ascontiguousarray(cosines, dtype=np.float32)
     east, south = np.empty(number.shape, np.float32), np.empty(number.shape, np.float32)
-    _bonds_kernel(given, light, number, np.float32(strength), np.float32(1.0 / contrast), east, south)
+    _weights_kernel(given, light, number, np.float32(strength), np.float32(1.0 / contrast), east, south)
     return east, south
 
 
@@ -204,13 +204,13 @@ def _change(first: Any, second: Any, other_first: Any, other_second: Any) -> Any
 
 
 @njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
-def _bonds_kernel(
+def _weights_kernel(
     cosines: FloatArray, light: int, number: Nodes, strength: Any, sharpness: Any, east: FloatArray,
     south: FloatArray,
 ) -> None:  # fmt: skip
     h, w = number.shape
     second, third = (light + 1) % 3, (light + 2) % 3
-    weakest, rest = np.float32(_WEAKEST_BOND), np.float32(1.0 - _WEAKEST_BOND)
+    weakest, rest = np.float32(_LEAST_WEIGHT), np.float32(1.0 - _LEAST_WEIGHT)
     for v in prange(h):
         here, below = number[v], number[min(v + 1, h - 1)]
         for u in range(w):
@@ -227,8 +227,8 @@ def _bonds_kernel(
                     _change(one[light], two[light], one[third], two[third]),
                 )
                 sharp = np.log(alone) * sharpness
-                bond = strength * (weakest + rest * np.exp(-sharp * sharp))
+                weight = strength * (weakest + rest * np.exp(-sharp * sharp))
                 if j == 0:
-                    east[v, u] = bond
+                    east[v, u] = weight
                 else:
-                    south[v, u] = bond
+                    south[v, u] = weight

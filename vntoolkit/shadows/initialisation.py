@@ -1,8 +1,8 @@
 """The start of the surface under shadows: roots where the albedo is known, else the lit surroundings.
 
 Where two lights arrive the energy has two minima, one at each root (`roots`). An albedo that is known says
-where the roots lie: the surface is solved from those of the minimum cut. They are held until depth has found
-where it steps, as from a chin to the neck: a depth that holds together everywhere would turn them over.
+where the roots lie: the surface is solved from those of the minimum cut. They are frozen until depth has
+found where it steps, as from a chin to the neck: a depth that holds together everywhere would turn them over.
 
 An albedo that varies by more than the energy lets it puts the roots anywhere. The ratio of two lights does
 not hang on it: the surface goes on from the lit surroundings.
@@ -28,7 +28,7 @@ _FEWEST_PAIRS = 60  # of rows, whose noise stands for the frame's
 _TRUST_BY_LIGHTS = (1.0, 0.2, 2.0, 1.0)
 _NOISE_PER_SLOPE = 1.7  # noise of a cosine per noise of a slope, on cleaner frames
 _LEAST_NOISE = 0.01  # of a cosine
-_HELD = 4  # steps of the surface that keep the roots, while depth finds where it steps, …
+_FROZEN = 4  # steps of the surface that keep the roots, while depth finds where it steps, …
 _FREE = 4  # … and those that settle it; of photographs' surfaces more make normals worse
 
 
@@ -39,16 +39,16 @@ def solve_from_start(labelled: LabelledImage, noise: float | None) -> Surface:
     """
     light, mask, albedo = labelled.image.light, labelled.image.mask, labelled.albedo
     spread = spread_of_albedo(light.length, albedo, mask & ~labelled.shadow) or ALBEDO_SPREAD
-    held = _HELD if spread <= ALBEDO_SPREAD else 0
-    options = SurfaceOptions(spread=spread, iterations=held + _FREE, held=held, settled=_FREE)
+    frozen = _FROZEN if spread <= ALBEDO_SPREAD else 0
+    options = SurfaceOptions(spread=spread, iterations=frozen + _FREE, frozen=frozen, final=_FREE)
     if noise is not None:
         options = replace(options, noise=min(options.noise, max(_NOISE_PER_SLOPE * noise, _LEAST_NOISE)))
     by_lights = np.asarray(_TRUST_BY_LIGHTS, dtype=np.float32)[count_lit(labelled.labels)]
     trusted = replace(labelled, trust=(light.trust * by_lights).astype(np.float32))
-    if not held:
+    if not frozen:
         return trusted.solve(options)
     roots = roots_of_labels(light, albedo, labelled.labels, mask, spread)
-    surface = trusted.solve(options, first_normals=roots.normals, guessed=roots.known)
+    surface = trusted.solve(options, first_normals=roots.normals, assumed=roots.known)
     sides = with_sides_of_roots(surface.normals, roots, labelled.labels, light)
     return replace(surface, normals=sides)
 

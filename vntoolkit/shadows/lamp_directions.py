@@ -30,13 +30,13 @@ _LEAST_OFFSET = 0.02  # of a colour, off its plane: what near lamps, half-light 
 class LampDirections:
     """Directions of three lamps under one response.
 
-    rows: (3, 3), row k is orthogonal to the colours of all lamps but k. doubts: (3,), standard deviations of
-    the directions in radians, infinite where a lamp is not known.
+    rows: (3, 3), row k is orthogonal to the colours of all lamps but k. deviations: (3,), standard deviations
+    of the directions in radians, infinite where a lamp is not known.
     """
 
     response: LightResponse
     rows: Matrix3
-    doubts: Vector3
+    deviations: Vector3
 
     @property
     def central(self) -> Matrix3:
@@ -50,7 +50,7 @@ class LampDirections:
 
         A channel stands for each other lamp. Without colours where none is sure, or they mix each other's.
         """
-        sure = self.doubts < np.radians(SURE_DEG)
+        sure = self.deviations < np.radians(SURE_DEG)
         if self.response.light_colours is not None or not sure.any():
             return self.response.central
         rows = np.where(sure[:, None], self.rows, np.eye(3))
@@ -74,7 +74,7 @@ def directions_from_shadows(
     level: the frame as the response at its centre forms it. labels: (h, w), bit k set where lamp k arrives.
     """
     if response.light_colours is not None:
-        return LampDirections(response=response, rows=response.contributions_from_rgb, doubts=np.zeros(3))
+        return LampDirections(response=response, rows=response.contributions_from_rgb, deviations=np.zeros(3))
     return directions_from_unlit(unlit_by_lamp(level, labels, response, mask), response)
 
 
@@ -98,12 +98,12 @@ def directions_from_unlit(unlit: Sequence[FloatArray], response: LightResponse) 
 
     unlit: for each lamp (n, 3), of `unlit_by_lamp`; of few, nothing is told.
     """
-    rows, doubts = np.eye(3), np.full(3, np.inf)
+    rows, deviations = np.eye(3), np.full(3, np.inf)
     for k, vectors in enumerate(unlit):
         if len(vectors) >= _FEWEST_PIXELS:
-            direction, doubts[k] = _normal_of_plane(vectors)
+            direction, deviations[k] = _normal_of_plane(vectors)
             rows[k] = response.inverse.T @ direction
-    return LampDirections(response=response, rows=rows, doubts=doubts)
+    return LampDirections(response=response, rows=rows, deviations=deviations)
 
 
 def _inside(labels: VisibilityLabels, bit: np.uint8, mask: Mask) -> IntArray:
@@ -114,7 +114,7 @@ def _inside(labels: VisibilityLabels, bit: np.uint8, mask: Mask) -> IntArray:
 
 
 def _normal_of_plane(vectors: FloatArray) -> tuple[Vector3, float]:
-    """Return the normal of the plane through 0 that vectors (n, 3) lie in, towards the viewer; its doubt."""
+    """Return the normal of the plane through 0 of vectors (n, 3), towards the viewer, and its deviation."""
     vectors = vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-9)
     weight = np.ones(len(vectors))
     for _ in range(_ROUNDS):
@@ -123,6 +123,6 @@ def _normal_of_plane(vectors: FloatArray) -> tuple[Vector3, float]:
         scale = max(_TUNING * robust_deviation(off), 1e-6)
         weight = 1.0 / (1.0 + (off / scale) ** 2) ** 2
     across, along, longest = np.sqrt(np.maximum(squares, 0.0))
-    doubt = np.hypot(across, _LEAST_OFFSET * longest) / max(along, 1e-9)
+    deviation = np.hypot(across, _LEAST_OFFSET * longest) / max(along, 1e-9)
     normal = axes[:, 0] * -np.copysign(1.0, axes[2, 0])
-    return normal, float(doubt)
+    return normal, float(deviation)

@@ -2,7 +2,7 @@
 
 Start, on a small image: a light is doubted where its cosine, its contribution over albedo and strength, is
 small. Then alternate: solve the surface from the lights that are not doubted (`surface`), predict each
-light's cosine on it, weigh it against the cosine measured (`evidence`), and find labels by a minimum cut. Go
+light's cosine on it, weigh it against the cosine measured (`log_odds`), and find labels by a minimum cut. Go
 on from that surface at twice the size, and so on up to the working size; the last labels are the frame's own.
 Every frame stands alone: the surface of the frame before lies beside a moving shadow, and leads into the
 wrong one of two valleys.
@@ -26,8 +26,8 @@ from vntoolkit.shadows.contributions import (
     largest_of_three,
     working_image,
 )
-from vntoolkit.shadows.evidence import PAINT_COSINE, evidence_of_lights, typical_dark_cosine, without_paint
-from vntoolkit.shadows.graph_cut import Nodes, bonds_of_light, lit_by_cut
+from vntoolkit.shadows.graph_cut import Nodes, lit_by_cut, weights_of_light
+from vntoolkit.shadows.log_odds import PAINT_COSINE, log_odds_of_lights, typical_dark_cosine, without_paint
 from vntoolkit.shadows.shadow_edges import lit_beyond_half, sharpened, turned_from_lights
 from vntoolkit.shadows.surface import LabelledImage, Surface, SurfaceOptions
 
@@ -35,8 +35,8 @@ from vntoolkit.shadows.surface import LabelledImage, Surface, SurfaceOptions
 _WEAK_COSINE = 0.35  # a frame without any that is less has no shadow
 _FIRST_COSINE = 0.2  # lights with less are doubted at the start
 _FIRST_ROUNDS = 3  # in which the albedo and the first doubts settle each other
-_SMOOTHNESS = 0.5  # price of a change of label between neighbours, in units of evidence
-_CONTRAST = 0.6  # see `bonds_of_light`
+_SMOOTHNESS = 0.5  # price of a change of label between neighbours, in units of log odds
+_CONTRAST = 0.6  # see `weights_of_light`
 _ROUNDS = 3  # alternations of surface and labels on the smallest image; most of the change comes in the first
 _FINER_ROUNDS = (
     2  # the same on every larger one: after one, a face's labels overlap the true ones less by 0.1
@@ -66,9 +66,9 @@ def labels_by_surface(
     sharp = without_paint(sharpened(cosines, mask), predicted)
     apart = response.light_colours is not None
     dark = typical_dark_cosine(sharp, predicted, albedo, mask, apart=apart)
-    evidence = evidence_of_lights(sharp, predicted, albedo, light.length, dark, light.directions)
+    log_odds = log_odds_of_lights(sharp, predicted, albedo, light.length, dark, light.directions)
     cosines = without_paint(cosines, predicted)
-    lit = _cut(evidence, cosines, mask) & ~turned_from_lights(
+    lit = _cut(log_odds, cosines, mask) & ~turned_from_lights(
         surface.normals, cosines, light.directions, mask
     )
     labels = labels_from_lit(lit_beyond_half(lit, cosines, predicted, mask))
@@ -124,18 +124,18 @@ def _lit_on(surface: Surface, image: WorkingImage, albedo: FloatArray) -> BoolAr
     predicted = _predicted(surface, image.light)
     cosines = without_paint(image.light.cosines(albedo), predicted)
     dark = typical_dark_cosine(cosines, predicted, albedo, image.mask)
-    evidence = evidence_of_lights(cosines, predicted, albedo, None, dark, image.light.directions)
-    return _cut(evidence, cosines, image.mask)
+    log_odds = log_odds_of_lights(cosines, predicted, albedo, None, dark, image.light.directions)
+    return _cut(log_odds, cosines, image.mask)
 
 
-def _cut(evidence: FloatArray, cosines: FloatArray, mask: Mask) -> BoolArray:
+def _cut(log_odds: FloatArray, cosines: FloatArray, mask: Mask) -> BoolArray:
     """Return (h, w, 3), the cheapest labels."""
 
     def of_light(k: int) -> BoolArray:
-        def bonds(number: Nodes) -> tuple[FloatArray, FloatArray]:
-            return bonds_of_light(cosines, k, number, _SMOOTHNESS, _CONTRAST)
+        def weights(number: Nodes) -> tuple[FloatArray, FloatArray]:
+            return weights_of_light(cosines, k, number, _SMOOTHNESS, _CONTRAST)
 
-        return lit_by_cut(evidence[k], bonds, mask, _SMOOTHNESS)
+        return lit_by_cut(log_odds[k], weights, mask, _SMOOTHNESS)
 
     return np.stack([of_light(k) for k in range(3)], axis=-1)
 

@@ -71,12 +71,12 @@ def roots_of_labels(
     of_cosine = along**2 * np.float32(spread**2) + np.float32(0.25 * near)
     of_angle = of_cosine / np.maximum(1.0 - cosine**2, np.sqrt(of_cosine))
     variance = np.where(two, of_angle, 0.0).astype(np.float32)
-    evidence, east, south = (np.zeros(mask.shape, np.float32) for _ in range(3))
+    log_odds, east, south = (np.zeros(mask.shape, np.float32) for _ in range(3))
     _costs_kernel(
-        flat(base), tilt, across, wide, kinds, variance, np.float32(afar), np.float32(0.5 * _STEPS), evidence,
+        flat(base), tilt, across, wide, kinds, variance, np.float32(afar), np.float32(0.5 * _STEPS), log_odds,
         east, south,
     )  # fmt: skip
-    facing = lit_by_cut(evidence - np.float32(_OCCLUDER_PRICE), lambda _: (east, south), two, np.inf)
+    facing = lit_by_cut(log_odds - np.float32(_OCCLUDER_PRICE), lambda _: (east, south), two, np.inf)
     sine = np.sin(np.where(facing, tilt, -tilt))[..., None]
     roots = np.where(two[..., None], np.cos(tilt)[..., None] * base + sine * across[wide], light.normals)
     known = mask & ((labels == ALL_LIT) | two)
@@ -171,7 +171,7 @@ def _likelihood(one: tuple[Any, Any, Any], other: tuple[Any, Any, Any], scale: A
 @njit(cache=True, parallel=True, error_model="numpy")
 def _costs_kernel(
     base: FloatArray, tilt: FloatArray, across: FloatArray, labels: VisibilityLabels, kinds: ByteArray,
-    variance: FloatArray, squared: Any, step: Any, evidence: FloatArray, east: FloatArray, south: FloatArray,
+    variance: FloatArray, squared: Any, step: Any, log_odds: FloatArray, east: FloatArray, south: FloatArray,
 ) -> None:  # fmt: skip
     """Fill (h, w): what lit pixels say for the facing root, and the price of a change to the next pixel.
 
@@ -206,7 +206,7 @@ def _costs_kernel(
                     _likelihood(averted, to, scale, step),
                 )
                 if kind == _LIT:
-                    evidence[v, u] += np.log(both / neither)
+                    log_odds[v, u] += np.log(both / neither)
                 elif way == 0:
                     east[v, u] = max(half * np.log(both * neither / (one * other)), zero)
                 else:

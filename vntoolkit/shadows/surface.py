@@ -48,8 +48,8 @@ Labels = ByteArray
 # The energy; cosines are 1 where a surface of the local albedo faces the light.
 ALBEDO_SPREAD = 0.15  # relative standard deviation of the albedo continued into a shadow
 _OWN_ALBEDO_SPREAD = 3.0  # the same where all three lights arrive: there the colour's length is the albedo
-_STEP_SOFTNESS = 10.0  # χ² at which a depth gradient counts a quarter, as it crosses a step in depth
-_SHADOW_STEP_SOFTNESS = 40.0  # the same under two lights, where the slope hangs on the albedo around
+_STEP_SCALE = 10.0  # χ² at which a depth gradient counts a quarter, as it crosses a step in depth
+_SHADOW_STEP_SCALE = 40.0  # the same under two lights, where the slope hangs on the albedo around
 _SMOOTH_PX = 2.0  # standard deviation of the surroundings whose mean slope a shadowed pixel is drawn to
 _MISSING_LIGHT_WEIGHT = 0.3  # of a light labelled missing where the surface would return what is seen …
 _MISSING_LIGHT_CUTOFF = 0.2  # … and the difference of cosines at which that weight ends
@@ -64,8 +64,8 @@ class SurfaceOptions:
 
     noise: standard deviation of a light's cosine; it stands for camera noise and for what the model leaves
     out (interreflection, gloss). smoothness: weight of a shadowed pixel's slope being its surroundings' mean.
-    iterations: Gauss–Newton steps. held: how many of them, the first ones, keep the slopes that they start
-    from, while depth finds where it must step for them. settled: how many, the last ones, know the albedo
+    iterations: Gauss–Newton steps. frozen: how many of them, the first ones, keep the slopes that they start
+    from, while depth finds where it must step for them. final: how many, the last ones, know the albedo
     under shadow to the lesser of `ALBEDO_SPREAD` and `spread`, its relative standard deviation as measured.
     cycles: of multigrid in each, at most.
     """
@@ -73,8 +73,8 @@ class SurfaceOptions:
     noise: float = 0.03
     smoothness: float = 3.0
     iterations: int = 8
-    held: int = 0
-    settled: int = 0
+    frozen: int = 0
+    final: int = 0
     spread: float = ALBEDO_SPREAD
     cycles: int = 4
 
@@ -145,13 +145,13 @@ class LabelledImage:
         start: Surface | None = None,
         *,
         first_normals: FloatArray | None = None,
-        guessed: Mask | None = None,
+        assumed: Mask | None = None,
     ) -> Surface:
         """Return the surface as `solve_surface` does; without first normals from those of full light."""
         light = self.image.light
         return solve_surface(
             self.cosines, self.labels, light.lights, self.image.mask,
-            first_normals=light.normals if first_normals is None else first_normals, guessed=guessed,
+            first_normals=light.normals if first_normals is None else first_normals, assumed=assumed,
             weight=self._trust, camera=self.image.camera, options=options, start=start,
         )  # fmt: skip
 
@@ -167,7 +167,7 @@ def solve_surface(
     mask: Mask,
     *,
     first_normals: FloatArray,
-    guessed: Mask | None = None,
+    assumed: Mask | None = None,
     weight: Weight | None = None,
     camera: Camera | None = None,
     options: SurfaceOptions | None = None,
@@ -176,7 +176,7 @@ def solve_surface(
     """Find the surface that explains `cosines` with the lights that `labels` say arrive.
 
     cosines: (h, w, 3), contribution of each light over the albedo. lights: (3, 3), row k = direction times
-    strength. first_normals: (h, w, 3), from plain inversion where all lights arrive. guessed: pixels
+    strength. first_normals: (h, w, 3), from plain inversion where all lights arrive. assumed: pixels
     beyond those whose first normals are worth starting from. weight: (h, w), 0 to 1, trust in a pixel's
     colour. camera: None for orthographic. start: a solution to go on from. Distortion is ignored.
     """
@@ -184,25 +184,25 @@ def solve_surface(
     given = _given(cosines, labels, lights, mask, weight, camera)
     shape = mask.shape
     known = mask & (labels == ALL_LIT)
-    guess = known if guessed is None else known | (mask & guessed)
+    assumed_or_known = known if assumed is None else known | (mask & assumed)
     first = np.ascontiguousarray(first_normals, dtype=np.float32)
-    slopes, depth = _first_guess(first, guess, given.rays, start)
+    slopes, depth = _start_of(first, assumed_or_known, given.rays, start)
     agreement = np.zeros(shape, np.float32)
     quadratics, targets = np.empty((6, *shape), np.float32), np.empty((2, *shape), np.float32)
     weights = np.empty((4, *shape), np.float32)
     edges, right = np.empty((4, *shape), np.float32), np.empty(shape, np.float32)
     prior_weights = _prior_weights(mask, known)
-    softness = (NO_STEP, NO_STEP)  # the first depth must hold together before it may show steps
+    robust_scale = (NO_STEP, NO_STEP)  # the first depth must hold together before it may show steps
     for step in range(options.iterations):
-        model = model_of(options, settled=step >= options.iterations - options.settled)
+        model = model_of(options, final=step >= options.iterations - options.final)
         prior = _surrounding_slope(slopes, prior_weights)
         given.quadratics(slopes, prior, model, quadratics, targets)
-        given.weights(quadratics, slopes, depth, softness, weights)
+        given.weights(quadratics, slopes, depth, robust_scale, weights)
         edges_kernel(quadratics, targets, weights, edges, right)
         depth = solve_grid(grid_hierarchy(edges), right, depth, _TOLERANCE, options.cycles)
-        if step >= options.held:
+        if step >= options.frozen:
             slopes_kernel(depth, weights, np.float32(STEEPEST), slopes, agreement)
-        softness = (_STEP_SOFTNESS, _SHADOW_STEP_SOFTNESS)
+        robust_scale = (_STEP_SCALE, _SHADOW_STEP_SCALE)
     normals = np.empty_like(first)
     _normals_kernel(slopes, flat(first), agreement, known, mask, given.rays, flat(normals))
     return Surface(normals=normals, depth=depth, agreement=agreement)
@@ -225,10 +225,10 @@ class _Given(NamedTuple):
         )  # fmt: skip
 
     def weights(
-        self, quadratics: Grid, slopes: Grid, depth: Grid, softness: tuple[float, float], out: Grid
+        self, quadratics: Grid, slopes: Grid, depth: Grid, robust_scale: tuple[float, float], out: Grid
     ) -> None:
-        """softness: of steps under three lights, and under two."""
-        full, shadow = (np.float32(value) for value in softness)
+        """robust_scale: of steps under three lights, and under two."""
+        full, shadow = (np.float32(value) for value in robust_scale)
         weights_kernel(quadratics, self.seen, self.mask, slopes, depth, full, shadow, out)
 
 
@@ -250,13 +250,13 @@ def _given(
     )
 
 
-def model_of(options: SurfaceOptions, *, settled: bool) -> "Model":
+def model_of(options: SurfaceOptions, *, final: bool) -> "Model":
     """Lay the energy out for the loops.
 
-    settled: whether every slope is on its side. Two lights under a known albedo leave two slopes with a ridge
+    final: whether every slope is on its side. Two lights under a known albedo leave two slopes with a ridge
     between them; one that is hardly known lets a slope cross, but then the light tells little.
     """
-    spread = min(options.spread, ALBEDO_SPREAD) if settled else ALBEDO_SPREAD
+    spread = min(options.spread, ALBEDO_SPREAD) if final else ALBEDO_SPREAD
     missing = _MISSING_LIGHT_WEIGHT * (spread / ALBEDO_SPREAD) ** 2  # the better two lights tell, the less
     values = (
         options.noise, spread, _OWN_ALBEDO_SPREAD, options.smoothness, _DAMPING, missing,
@@ -265,7 +265,7 @@ def model_of(options: SurfaceOptions, *, settled: bool) -> "Model":
     return Model(*(np.float32(value) for value in values))
 
 
-def _first_guess(normals: FloatArray, known: Mask, rays: RayGrid, start: Surface | None) -> tuple[Grid, Grid]:
+def _start_of(normals: FloatArray, known: Mask, rays: RayGrid, start: Surface | None) -> tuple[Grid, Grid]:
     """Slopes (2, h, w) of the lit pixels, continued smoothly into the rest, and a depth to start from."""
     if start is not None:
         return _slopes_of_normals(start.normals, rays), start.depth
@@ -275,7 +275,7 @@ def _first_guess(normals: FloatArray, known: Mask, rays: RayGrid, start: Surface
 
 
 def _slopes_of_normals(normals: FloatArray, rays: RayGrid) -> Grid:
-    """Return the slopes (2, h, w) of normals (h, w, 3), held where they are seen at grazing incidence."""
+    """Return the slopes (2, h, w) of normals (h, w, 3), limited where they are seen at grazing incidence."""
     h, w = normals.shape[:2]
     x = (np.arange(w, dtype=np.float32) - rays.centre_u) * rays.per_pixel_u
     y = (np.arange(h, dtype=np.float32)[:, None] - rays.centre_v) * rays.per_pixel_v

@@ -6,11 +6,11 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from vntoolkit.shadows.evidence import (
+from vntoolkit.shadows.log_odds import (
     CONTRIBUTION_NOISE,
     WEAK_COSINE,
-    evidence_from_albedo,
-    evidence_of_lights,
+    log_odds_from_albedo,
+    log_odds_of_lights,
     typical_dark_cosine,
     without_paint,
 )
@@ -20,24 +20,24 @@ EVERYWHERE = np.ones((20, 30), bool)
 NOISELESS = 1e9  # an albedo so high that the camera's noise counts for nothing
 
 
-def evidence(
+def log_odds(
     cosines: np.ndarray, predicted: npt.ArrayLike, albedo: float, dark: tuple[float, float]
 ) -> np.ndarray:
     """(h, w, 3), without what the albedo says."""
     surface = np.broadcast_to(predicted, cosines.shape)
-    found = evidence_of_lights(cosines, surface, np.full(cosines.shape[:2], albedo), None, dark, LIGHTS)
+    found = log_odds_of_lights(cosines, surface, np.full(cosines.shape[:2], albedo), None, dark, LIGHTS)
     return np.moveaxis(found, 0, -1)
 
 
 def level(predicted: float, dark: tuple[float, float], albedo: float = NOISELESS) -> float:
-    """Cosine at which the evidence changes its sign."""
+    """Cosine at which the log odds change their sign."""
     cosines = np.repeat(np.linspace(0.0, 1.0, 2001)[None, :, None], 3, axis=-1)
-    sign = evidence(cosines, predicted, albedo, dark)[0, :, 0] < 0.0
+    sign = log_odds(cosines, predicted, albedo, dark)[0, :, 0] < 0.0
     return float(cosines[0, sign.argmin(), 0])
 
 
 def plain_evidence(cosines: np.ndarray, predicted: np.ndarray, albedo: float, dark: tuple[float, float]):
-    """The loop of `evidence_of_lights` without the albedo, as arrays."""
+    """The loop of `log_odds_of_lights` without the albedo, as arrays."""
     noise = CONTRIBUTION_NOISE / albedo
     least = dark[0] + 0.015 + noise
     most = max(3.0 * dark[0] + 0.015 + 1.3 * dark[1] + noise, least)
@@ -50,7 +50,7 @@ def test_the_loop_says_what_the_plain_form_says(rng: np.random.Generator) -> Non
     predicted, cosines = rng.uniform(-0.5, 1.0, (20, 30, 3)), rng.uniform(-0.05, 1.0, (20, 30, 3))
     for albedo, dark in ((1.0, (0.0, 0.02)), (0.1, (0.1, 0.05))):
         assert np.allclose(
-            evidence(cosines, predicted, albedo, dark),
+            log_odds(cosines, predicted, albedo, dark),
             plain_evidence(cosines, predicted, albedo, dark),
             atol=1e-4,
         )
@@ -66,7 +66,7 @@ def test_the_frame_tells_how_much_light_its_shadows_hold() -> None:
         cosines = predicted.copy()
         cosines[:15, :10, 1] = glow
         dark = typical_dark_cosine(cosines, predicted, albedo, EVERYWHERE)
-        found = evidence(cosines, predicted, NOISELESS, dark)
+        found = log_odds(cosines, predicted, NOISELESS, dark)
         assert ((found < 0.0)[:15] == (np.arange(30)[:, None] < 10) & (np.arange(3) == 1)).all()
         levels[glow] = level(0.02, dark), level(0.8, dark)
     assert levels[0.0] == pytest.approx((0.015, 0.015), abs=6e-4)
@@ -91,7 +91,7 @@ def test_a_part_predicted_wrongly_does_not_call_itself_shadow() -> None:
     cosines[:4, :, 0] = cosines[4:8, :, 1] = 0.01
     cosines[8:, :, 2] = 0.25  # lit, at a slant that the surface does not know yet
     dark = typical_dark_cosine(cosines, predicted, albedo, EVERYWHERE)
-    found = evidence(cosines, predicted, NOISELESS, dark) < 0.0
+    found = log_odds(cosines, predicted, NOISELESS, dark) < 0.0
     assert found[:4, :, 0].all()
     assert found[4:8, :, 1].all()
     assert not found[8:].any()
@@ -130,11 +130,11 @@ def test_the_albedo_tells_a_missing_light_from_a_weak_one() -> None:
         cosines = predicted * [0.0 if missing else 1.0, 1.0, 1.0]
         assert cosines[0] < WEAK_COSINE
         ratio = np.linalg.norm(duals @ cosines)
-        found = evidence_from_albedo(0, cosines[0], predicted, ratio, duals)
+        found = log_odds_from_albedo(0, cosines[0], predicted, ratio, duals)
         assert found < -0.02 if missing else abs(found) < 1e-3
         one = (cosines.reshape(1, 1, 3), predicted.reshape(1, 1, 3), np.ones((1, 1)))
         without, within = (
-            evidence_of_lights(*one, length, (0.0, 0.02), LIGHTS)[:, 0, 0]
+            log_odds_of_lights(*one, length, (0.0, 0.02), LIGHTS)[:, 0, 0]
             for length in (None, np.full((1, 1), ratio))
         )
         assert within - without == pytest.approx([found, 0.0, 0.0], abs=1e-5)

@@ -34,15 +34,15 @@ _SURELY_PREDICTED = 0.4  # a cosine in shadow is measured where more than this i
 _FEWEST_MISSING = 50  # … and on at least so many pixels, or typical is 0 and spread _UNKNOWN_SPREAD
 
 # Evidence in units of a tolerance.
-STRONGEST_EVIDENCE = 4.0
-_TOLERANCE_DARK = 0.04  # change of a cosine that is one unit of evidence where none is predicted
+LARGEST_LOG_ODDS = 4.0
+_TOLERANCE_DARK = 0.04  # change of a cosine that is one unit of log odds where none is predicted
 _TOLERANCE_BRIGHT = 0.05  # what each unit of predicted cosine adds to that
 _PAINT_PART = 0.5  # dark paint: all three cosines are below this part of the predicted ones …
 PAINT_COSINE = 0.12  # … and above this one
 
-# The evidence of the albedo, in the same units.
+# The log odds of the albedo, in the same units.
 _COMPARISON = 4.0  # per squared log albedo, 1 / 2σ²: nearer to the albedo with the light or without
-_DEPARTURE = 3.0  # per squared log albedo, against a light that would leave any departure
+_MISFIT = 3.0  # per squared log albedo, against a light that would leave any departure
 _MOST_FROM_ALBEDO = 2.0  # either way: paint and gloss depart too
 WEAK_COSINE = 0.4  # only a pixel's weakest light is judged, and only below this cosine
 
@@ -99,7 +99,7 @@ def _paint_kernel(cosines: FloatArray, predicted: FloatArray, out: FloatArray) -
             to[i], to[i + 1], to[i + 2] = a * scale, b * scale, c * scale
 
 
-def evidence_of_lights(
+def log_odds_of_lights(
     cosines: FloatArray, predicted: FloatArray, albedo: FloatArray, length: FloatArray | None,
     dark: tuple[float, float], directions: Matrix3,
 ) -> FloatArray:  # fmt: skip
@@ -113,7 +113,7 @@ def evidence_of_lights(
     ratio = np.zeros((0, 0), np.float32)
     if length is not None:
         ratio = np.asarray(length / np.maximum(albedo, np.float32(_SMALLEST_RATIO)), np.float32)
-    _evidence_kernel(
+    _log_odds_kernel(
         flat(cosines), flat(predicted), np.ascontiguousarray(albedo, np.float32), ratio, np.float32(dark[0]),
         np.float32(dark[1]), np.linalg.inv(directions).astype(np.float32), out,
     )  # fmt: skip
@@ -121,12 +121,12 @@ def evidence_of_lights(
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
-def _evidence_kernel(
+def _log_odds_kernel(
     cosines: FloatArray, predicted: FloatArray, albedo: FloatArray, ratio: FloatArray, typical: Any,
     spread: Any, duals: FloatArray, out: FloatArray,
 ) -> None:  # fmt: skip
     _, h, w = out.shape
-    strongest, zero = np.float32(STRONGEST_EVIDENCE), np.float32(0.0)
+    strongest, zero = np.float32(LARGEST_LOG_ODDS), np.float32(0.0)
     bound = np.float32(_MOST_TIMES) * typical + np.float32(_MOST_MARGIN) + np.float32(_MOST_SPREADS) * spread
     for v in prange(h):
         for u in range(w):
@@ -146,13 +146,13 @@ def _evidence_kernel(
             seen = cosines[v, 3 * u + weakest]
             if ratio.size and seen < np.float32(WEAK_COSINE):
                 surface = predicted[v, 3 * u : 3 * u + 3]
-                found = out[weakest, v, u] + evidence_from_albedo(weakest, seen, surface, ratio[v, u], duals)
+                found = out[weakest, v, u] + log_odds_from_albedo(weakest, seen, surface, ratio[v, u], duals)
                 out[weakest, v, u] = min(max(found, -strongest), strongest)
 
 
 @njit(cache=True, forceinline=True, error_model="numpy")
-def evidence_from_albedo(k: int, cosine: Any, predicted: FloatArray, ratio: Any, duals: Matrix3) -> Any:
-    """Return the evidence for light k, positive for light, of a length `ratio` times the albedo around.
+def log_odds_from_albedo(k: int, cosine: Any, predicted: FloatArray, ratio: Any, duals: Matrix3) -> Any:
+    """Return the log odds for light k, positive for light, of a length `ratio` times the albedo around.
 
     cosine: of light k as measured. predicted: (3,), to be expected where lights arrive. duals: (3, 3), they
     make a normal of its cosines.
@@ -166,7 +166,7 @@ def evidence_from_albedo(k: int, cosine: Any, predicted: FloatArray, ratio: Any,
         squared += part * part
     excess = _log(ratio)
     expected = _log(max(np.sqrt(squared), _SHORTEST))
-    found = _COMPARISON * expected * (expected - 2.0 * excess) - _DEPARTURE * excess * excess
+    found = _COMPARISON * expected * (expected - 2.0 * excess) - _MISFIT * excess * excess
     return min(max(found, -_MOST_FROM_ALBEDO), _MOST_FROM_ALBEDO)
 
 
