@@ -97,17 +97,6 @@ def test_a_part_predicted_wrongly_does_not_call_itself_shadow() -> None:
     assert not found[8:].any()
 
 
-def test_light_that_fades_tells_nothing_of_shadows_where_lamps_are_told_apart() -> None:
-    """A tail of cosines that thins out towards the dark is of light that arrives; a heap at 0.1 is not."""
-    predicted, albedo = np.full((20, 30, 3), 0.8), np.full((20, 30), NOISELESS)
-    tail = predicted * np.sqrt(np.linspace(0.0, 1.0, 600)).reshape(20, 30, 1)
-    assert typical_dark_cosine(tail, predicted, albedo, EVERYWHERE, apart=True)[0] == 0.0
-    assert typical_dark_cosine(tail, predicted, albedo, EVERYWHERE)[0] > 0.2
-    shadow = predicted.copy()
-    shadow[:, :10] = 0.1
-    assert typical_dark_cosine(shadow, predicted, albedo, EVERYWHERE, apart=True)[0] == pytest.approx(0.1)
-
-
 def test_noise_counts_for_more_on_dark_paint() -> None:
     dark = (0.0, 0.02)
     assert level(0.8, dark, 0.1) - level(0.8, dark) == pytest.approx(10 * CONTRIBUTION_NOISE, abs=1e-3)

@@ -85,17 +85,18 @@ def reconstruct(
     """
     frames, started = frames or FrameRange(), time.perf_counter()
     progress.begin("prepare")
-    with recorded_warnings() as warnings:
+    warnings: list[FindingEntry] = []
+    with recorded_warnings(warnings):
         footage = _checked_footage(request, frames, jobs, scheduler)
-        with write_lock(request.folder.root):
-            run = _begun(request, footage, frames, overwrite)
-            progress.begin(f"frames of {request.folder.root.name}", len(run.numbers), len(run.resumed))
-            for entry in run.missing:
-                run.log.append(entry)
-                progress.step()
-            made = _made_frames(run, jobs, scheduler)
-            seconds = time.perf_counter() - started
-            return _ended(run, footage, frames, made, warnings, seconds)
+    with write_lock(request.folder.root), recorded_warnings(warnings):
+        run = _begun(request, footage, frames, overwrite)
+        progress.begin(f"frames of {request.folder.root.name}", len(run.numbers), len(run.resumed))
+        for entry in run.missing:
+            run.log.append(entry)
+            progress.step()
+        made = _made_frames(run, jobs, scheduler)
+        seconds = time.perf_counter() - started
+        return _ended(run, footage, frames, made, warnings, seconds)
 
 
 def _checked_footage(request: Request, frames: FrameRange, jobs: int, scheduler: str | None) -> Footage:
@@ -169,7 +170,8 @@ def _begun(request: Request, footage: Footage, frames: FrameRange, overwrite: bo
     else:
         from vntoolkit.pipeline.prepare import prepare
 
-        with recorded_warnings() as warnings:
+        warnings: list[FindingEntry] = []
+        with recorded_warnings(warnings):
             known = prepare(request, footage, manifests.numbers_of_ranges(covered, count))
         findings = [*known.findings, *_not_among(known.findings, warnings)]
         known = known.model_copy(update={"frames": covered, "findings": findings})
@@ -411,21 +413,21 @@ def manifest_of_request(request: Request, footage: Footage, frames: FrameRange) 
 
 
 @contextmanager
-def recorded_warnings() -> Iterator[list[FindingEntry]]:
-    """Yield the list of what the package warns of in the block, each once; its check is the file's name."""
-    recorder = _Recorder()
+def recorded_warnings(found: list[FindingEntry]) -> Iterator[None]:
+    """Add to `found` what the package warns of in the block, each once; its check is the file's name."""
+    recorder = _Recorder(found)
     package = logging.getLogger("vntoolkit")
     package.addHandler(recorder)
     try:
-        yield recorder.found
+        yield
     finally:
         package.removeHandler(recorder)
 
 
 class _Recorder(logging.Handler):
-    def __init__(self) -> None:
+    def __init__(self, found: list[FindingEntry]) -> None:
         super().__init__(logging.WARNING)
-        self.found: list[FindingEntry] = []
+        self.found = found
 
     def emit(self, record: logging.LogRecord) -> None:
         text = " ".join(record.getMessage().split())
@@ -434,6 +436,6 @@ class _Recorder(logging.Handler):
             self.found.append(FindingEntry(check=check, level="warning", text=text))
 
 
-def _not_among(told: Sequence[FindingEntry], others: Sequence[FindingEntry]) -> list[FindingEntry]:
-    texts = {finding.text for finding in told}
+def _not_among(known: Sequence[FindingEntry], others: Sequence[FindingEntry]) -> list[FindingEntry]:
+    texts = {finding.text for finding in known}
     return [finding for finding in others if finding.text not in texts]

@@ -10,7 +10,6 @@ A cosine is a light's contribution over the albedo around and its strength: 1 wh
 
 from typing import Any
 
-import cv2
 import numpy as np
 from numba import prange
 
@@ -48,21 +47,18 @@ WEAK_COSINE = 0.4  # only a pixel's weakest light is judged, and only below this
 
 
 def typical_dark_cosine(
-    cosines: FloatArray, predicted: FloatArray, albedo: FloatArray, mask: Mask, *, apart: bool = False
+    cosines: FloatArray, predicted: FloatArray, albedo: FloatArray, mask: Mask
 ) -> tuple[float, float]:
     """The median cosine of a missing light, and its spread: the least of the three lights'.
 
     cosines, predicted: (h, w, 3), measured and to be expected where the light arrives. albedo: (h, w). Stray
     light favours none. A part whose surface is predicted wrongly makes one light look missing there that is
-    not, and would raise the level for itself; it seldom does so for all three. apart: whether each cosine is
-    of one lamp alone. Then shadows lie nearer to no light than to the ratio at which a light is missing. What
-    mostly lies nearer to that ratio is the tail of light that arrives, and tells nothing of shadows.
+    not, and would raise the level for itself; it seldom does so for all three.
     """
     found = []
-    for seen, surface in zip(cv2.split(cosines), cv2.split(predicted), strict=True):
+    for k in range(3):
+        seen, surface = cosines[..., k], predicted[..., k]
         missing = mask & (surface > _SURELY_PREDICTED) & (seen < _MISSING_RATIO * surface)
-        if apart and 2 * np.count_nonzero(missing & (seen < 0.5 * _MISSING_RATIO * surface)) <= missing.sum():
-            continue
         noise = CONTRIBUTION_NOISE / np.maximum(albedo[missing], _SMALLEST_ALBEDO)
         found.append(seen[missing] - noise)
     levels = [np.percentile(values, (10, 50)) for values in found if len(values) >= _FEWEST_MISSING]

@@ -64,8 +64,7 @@ def labels_by_surface(
         predicted, albedo = _enlarged(predicted, mask.shape), _enlarged(albedo, mask.shape)
     cosines = light.cosines(albedo)
     sharp = without_paint(sharpened(cosines, mask), predicted)
-    apart = response.light_colours is not None
-    dark = typical_dark_cosine(sharp, predicted, albedo, mask, apart=apart)
+    dark = typical_dark_cosine(sharp, predicted, albedo, mask)
     log_odds = log_odds_of_lights(sharp, predicted, albedo, light.length, dark, light.directions)
     cosines = without_paint(cosines, predicted)
     lit = _cut(log_odds, cosines, mask) & ~turned_from_lights(
