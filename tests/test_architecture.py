@@ -101,7 +101,7 @@ LINES = {
 
 # Verb -> most modules of the package, and most lines of them, that are loaded before its function runs.
 CLOSURES = {
-    "reconstruct": (61, 8_210),
+    "reconstruct": (61, 8_220),
     "track": (89, 12_490),
     "export": (51, 6_830),
     "view": (57, 7_520),
