@@ -409,7 +409,7 @@ def _unlit_row(
             squared += np.float32(4.0) * off * off
         known = squared < np.float32(8.0)  # no NaN
         bound = _PER_DISTANCE * squared + _PER_NOISE * _ALBEDO_SPREAD * _ALBEDO_SPREAD * moved
-        unlit[u] = min(max(bound, SHORTEST), unknown) if known else unknown
+        unlit[u] = min(max(bound, SHORTEST), _LARGEST_DEG * _LARGEST_DEG) if known else unknown
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
