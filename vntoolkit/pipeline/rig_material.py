@@ -79,13 +79,13 @@ def _warn_of_other_material(
     residual = round(robust_deviation(length[bright] - np.median(length[bright])), 2)
     off = share_of_wrong_lengths(reached / np.median(reached)) if reached.size else 0.0
     wrong = []
-    told = response.light_colours is not None  # then what a material of another colour leaves is told before
-    if residual > _WORST_RESIDUAL and not (told and choice is MaterialSearch.AUTO):
+    has_colours = response.light_colours is not None  # then `measured_materials` warns of other colours
+    if residual > _WORST_RESIDUAL and not (has_colours and choice is MaterialSearch.AUTO):
         wrong.append(
             f"the lengths of its normals, which should be equal, spread by {100 * residual:.0f} % (expected "
             f"below {100 * _WORST_RESIDUAL:.0f})"
         )
-    elif off > MOST_UNEXPLAINED and not told:
+    elif off > MOST_UNEXPLAINED and not has_colours:
         wrong.append(
             f"the lengths of {100 * off:.0f} % of its normals are off by more than {100 * WRONG_LENGTH:.0f} "
             f"% (expected in at most {100 * MOST_UNEXPLAINED:.0f} %; gloss does this, too)"
