@@ -57,7 +57,7 @@ out = np.zeros((8, h, w), np.float32)
 lights = numbers_of(rng.normal(size=(3, 3)))
 quadratics_kernel(
     flat(cosines), labels, cosines[..., 0].copy(), slopes, prior, lights, rays,
-    model_of(SurfaceOptions(), settled=False), out[:6], out[6:],
+    model_of(SurfaceOptions(), final=False), out[:6], out[6:],
 )
 print(hashlib.sha256(out.tobytes()).hexdigest())
 """
