@@ -59,7 +59,7 @@ class LiveArguments(CornerOptions, AllowOptions, CameraOptions, ViewerOptions, P
     pixel_mm: float | None = None
     """Side of a pixel of the rectified picture in millimetres; a gel's rig knows it."""
     shadows: Named[ShadowMethod, ShadowMethodName] = named(ShadowMethod.NONE)
-    """How self-shadows are found, as in `reconstruct`; robust takes about 0.1 s a frame of 1280×720."""
+    """How self-shadows are found, as in `reconstruct`; robust takes half a second a frame of 1280×720."""
     record_to: File = Path()
     """The folder for recordings."""
     seconds: float | None = None

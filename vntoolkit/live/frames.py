@@ -142,7 +142,8 @@ class LiveProcessor:
         self._integrator, self._anchor = self._new_integrator(), None
 
     def _new_integrator(self) -> DepthIntegrator:
-        return DepthIntegrator(self.depth_camera, may_jump=self.rig.gel is None)
+        """Least squares: to find where depth jumps takes several times as long as a frame lasts."""
+        return DepthIntegrator(self.depth_camera, may_jump=False)
 
     def process(self, frame: EncodedFrame) -> LiveResult:
         """Return normals and depth of one frame; raise as `FrameProcessor.process` does."""
