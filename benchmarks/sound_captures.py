@@ -21,9 +21,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from recipes.real_objects import read_capture
 from vntoolkit.errors import VntError
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.io.footage.image_writing import write_png
+from vntoolkit.io.maps_and_meshes.masks import write_mask
 from vntoolkit.io.results.manifest import ReconstructionFolder, read_manifest
 from vntoolkit.io.rigs import read_rig
 from vntoolkit.options.calibration import PressOptions
@@ -44,6 +46,7 @@ SCENES = (
     "head_turn", "face", "face_makeup",
 )  # fmt: skip
 STORED = (("linear", 8), ("srgb", 8), ("linear", 12))
+STATUES = ("buddha", "cat")
 FRAMES, STEP = 6, 2
 FLASHES = re.compile(r"A([+-]\d+)E([+-]\d+)")
 TILTS_DEG = (20.0, 55.0)  # of flashes from the axis: further round, most of a face is in shadow
@@ -92,6 +95,18 @@ def faces(data: Path, folder: Path, count: int) -> Iterator[tuple[str, Path, Rig
             yield path.stem, path, Rig(camera=camera, response=response), None
 
 
+def statues(data: Path, folder: Path) -> Iterator[tuple[str, Path, Rig, Path | None]]:
+    """Yield the statues' photographs with their masks; their M is that of the grey ball."""
+    for name in STATUES:
+        capture = read_capture(data, name)
+        height, width = capture.mask.shape
+        path, mask = folder / f"{name}.png", folder / f"{name}_mask.png"
+        write_png(path, np.rint(65535 * capture.frame.rgb.clip(0, 1)).astype(np.uint16))
+        write_mask(mask, capture.mask)
+        camera = Camera.orthographic(width=width, height=height)
+        yield name, path, Rig(camera=camera, response=capture.response), mask
+
+
 def said_of(source: Path, rig: Rig, mask: Path | None, out: Path) -> list[str]:
     """Return the warnings and errors of a reconstruction."""
     request = Request(
@@ -129,7 +144,7 @@ def captures(asked: argparse.Namespace, folder: Path) -> Iterator[tuple[str, lis
     others = ((path.name, path / "capture.mkv", read_rig(path / "rig.json"), None) for path in asked.folders)
     made = [simulated(folder, asked.seeds), others]
     if asked.data is not None:
-        made.append(faces(asked.data, folder, asked.faces))
+        made += [statues(asked.data, folder), faces(asked.data, folder, asked.faces)]
     for each in made:
         for name, source, rig, mask in each:
             yield name, said_of(source, rig, mask, folder / "out" / name)
