@@ -16,6 +16,7 @@ from vntoolkit.cli.live import _keys
 from vntoolkit.errors import BadCapture, BadInput, CannotWrite, NoSubject, VntError
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.geometry.rectification import Rectification
+from vntoolkit.integration.integrate import DepthIntegrator
 from vntoolkit.io.footage.captures import open_capture
 from vntoolkit.io.footage.decoding import EncodedFrame
 from vntoolkit.io.footage.video import write_video
@@ -28,6 +29,7 @@ from vntoolkit.live.frames import (
     exposure_warnings,
     reduced,
 )
+from vntoolkit.options.depth import IntegrationOptions, Integrator
 from vntoolkit.options.normals import ShadowMethod
 from vntoolkit.options.reconstruction import MaterialSearch, Product, ReconstructOptions
 from vntoolkit.pipeline.frame_processor import FrameProcessor
@@ -188,6 +190,20 @@ def test_results_are_those_of_the_dome_and_depth_keeps_its_offset() -> None:
     second = processor.process(encoded(covered))
     both = first.depth_map.mask & second.depth_map.mask
     assert abs(np.median((second.depth_map.depth - first.depth_map.depth)[both])) < 1e-3
+
+
+def test_depth_is_least_squares_where_halves_of_a_dome_do_not_meet() -> None:
+    """To find the jump takes several times as long."""
+    values = dome_picture()
+    values[:, 32:] = np.roll(values[:, 32:], 12, axis=0)
+    processor = LiveProcessor(RIG, depth_px=64)
+    found = processor.process(encoded(values))
+    default = DepthIntegrator(processor.depth_camera).integrate(found.normal_map)
+    poisson = IntegrationOptions(integrator=Integrator.POISSON)
+    smooth = DepthIntegrator(processor.depth_camera, poisson).integrate(found.normal_map)
+    inside = found.depth_map.mask
+    np.testing.assert_allclose(found.depth_map.depth[inside], smooth.depth[inside], atol=1e-6)
+    assert np.abs(default.depth - smooth.depth)[inside].max() > 1  # pixel
 
 
 def test_depth_of_half_the_size_is_the_same_surface() -> None:

@@ -10,7 +10,7 @@ NOTE, WARNING, FATAL = "note", "warning", "fatal"
 TABLE: dict[str, tuple[str, str, str, str, str]] = {
     "backdrop": (
         WARNING,
-        "a poor region at the border counts as subject, a backdrop or a shadow: {share:.0%} of the normals",
+        "a backdrop, or a shadow at the border, counts as subject, with {share:.0%} of the normals",
         "an expected error of {region_deg:.0f} degrees there, {subject_deg:.0f} on the subject, medians",
         "below 20 all over",
         "give --mask; {mask} in the result's folder is a proposal, look at it first",
