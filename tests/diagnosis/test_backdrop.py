@@ -1,13 +1,18 @@
 """A wall that counts as subject is told by its bounds, and a mask of the subject is proposed."""
 
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pytest
 
+from tests.pipeline.conftest import RIG, dome_light
 from vntoolkit.__main__ import main
-from vntoolkit.diagnosis.backdrop import backdrop_in
+from vntoolkit.diagnosis.backdrop import Backdrop, backdrop_in
 from vntoolkit.geometry.maps import NormalMap
+from vntoolkit.io.footage.image_writing import write_png
 from vntoolkit.io.results.manifest import read_manifest
+from vntoolkit.io.rigs import write_rig
 
 SHAPE = (90, 120)
 
@@ -61,6 +66,29 @@ def test_dark_hair_that_only_a_rim_joins_to_the_border_is_no_wall() -> None:
     errors = np.where(rim | (v < 40), 70.0, 3.0 + 0.05 * v)
     normals = np.where(mask[..., None], [0.0, 0.0, -1.0], 0.0).astype(np.float32)
     assert backdrop_in(NormalMap(normals_in_camera=normals, mask=mask, error_deg=errors)) is None
+
+
+def test_a_subject_that_hardly_entered_is_no_wall(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What only the worst frame shows does not stand behind the subject in all frames."""
+    whole = np.rint(255 * dome_light().clip(0, 1)).astype(np.uint8)
+    entering = whole // 3
+    entering[:, 32:] = 0
+    (tmp_path / "in").mkdir()
+    for number, picture in enumerate((whole, entering)):
+        write_png(tmp_path / "in" / f"{number}.png", picture)
+    write_rig(tmp_path / "rig.json", RIG)
+    subject = whole.any(axis=2)
+    parted = Backdrop(subject=subject, share=0.5, subject_deg=4.0, region_deg=60.0)
+
+    def found_in_part(normal_map: NormalMap) -> Backdrop | None:
+        return parted if normal_map.mask.sum() < 0.8 * subject.sum() else None
+
+    command = ["reconstruct", str(tmp_path / "in"), "--rig", str(tmp_path / "rig.json"), "--to", "normals"]
+    for judged, expected in ((found_in_part, []), (lambda _: parted, ["backdrop"])):
+        monkeypatch.setattr("vntoolkit.diagnosis.backdrop.backdrop_in", judged)
+        assert main([*command, "--out", str(tmp_path / "out"), "--overwrite"]) == 0
+        manifest = read_manifest(tmp_path / "out")
+        assert [each.check for each in manifest.findings if each.check == "backdrop"] == expected
 
 
 @pytest.mark.slow

@@ -292,7 +292,7 @@ def _ended(
     own, worst = [], _worst_map(run, done)
     if worst is not None:
         subject = worst.mask
-        if (backdrop := _backdrop(run, worst)) is not None:
+        if (backdrop := _backdrop(run, done, worst)) is not None:
             own.append(backdrop.finding)
             error_deg, subject = round(backdrop.subject_deg, 2), backdrop.subject
         spread = spread_deg(worst, subject)
@@ -346,27 +346,33 @@ def _ended(
 
 def _worst_map(run: _Run, done: Sequence[FrameEntry]) -> "NormalMap | None":
     """Read the normals of the frame of the largest expected error; None where there are none."""
+    errors = [entry.error_deg or 0.0 for entry in done]
+    return _normals_of(run, done[int(np.argmax(errors))]) if max(errors, default=0.0) > 0.0 else None
+
+
+def _normals_of(run: _Run, entry: FrameEntry) -> "NormalMap | None":
     from vntoolkit.io.maps_and_meshes.maps import read_normal_map
 
-    folder, errors = run.request.folder, [entry.error_deg or 0.0 for entry in done]
-    if max(errors, default=0.0) <= 0.0:
-        return None
-    number = done[int(np.argmax(errors))].number
+    folder, number = run.request.folder, entry.number
     return read_normal_map(folder.file("normals", number)) if folder.has(number, "normals") else None
 
 
-def _backdrop(run: _Run, worst: "NormalMap") -> "Backdrop | None":
-    """Find a backdrop that counts as subject; write a mask."""
+def _backdrop(run: _Run, done: Sequence[FrameEntry], worst: "NormalMap") -> "Backdrop | None":
+    """Find a backdrop that counts as subject; write a mask.
+
+    A backdrop stands in every frame, so in the one that shows most, too; a subject that has hardly entered
+    looks alike in the worst one.
+    """
     from vntoolkit.diagnosis.backdrop import MASK_NAME, backdrop_in
+    from vntoolkit.io.maps_and_meshes.masks import write_mask
 
     request = run.request
     if request.mask is not None or request.matting.key is not None or request.is_of_gel:
         return None
-    backdrop = backdrop_in(worst)
-    if backdrop is not None:
-        from vntoolkit.io.maps_and_meshes.masks import write_mask
-
-        write_mask(request.folder.root / MASK_NAME, backdrop.subject)
+    fullest = _normals_of(run, max(done, key=lambda entry: entry.valid_share))
+    if fullest is None or backdrop_in(fullest) is None or (backdrop := backdrop_in(worst)) is None:
+        return None
+    write_mask(request.folder.root / MASK_NAME, backdrop.subject)
     return backdrop
 
 
