@@ -360,11 +360,9 @@ def _normals_of(run: _Run, entry: FrameEntry) -> "NormalMap | None":
 def _backdrop(run: _Run, done: Sequence[FrameEntry], worst: "NormalMap") -> "Backdrop | None":
     """Find a backdrop that counts as subject; write a mask.
 
-    A backdrop stands in every frame, so in the one that shows most, too; a subject that has hardly entered
-    looks alike in the worst one.
+    It stands in the frame that shows most, too; in the worst one, what has hardly entered looks alike.
     """
     from vntoolkit.diagnosis.backdrop import MASK_NAME, backdrop_in
-    from vntoolkit.io.maps_and_meshes.masks import write_mask
 
     request = run.request
     if request.mask is not None or request.matting.key is not None or request.is_of_gel:
@@ -372,6 +370,8 @@ def _backdrop(run: _Run, done: Sequence[FrameEntry], worst: "NormalMap") -> "Bac
     fullest = _normals_of(run, max(done, key=lambda entry: entry.valid_share))
     if fullest is None or backdrop_in(fullest) is None or (backdrop := backdrop_in(worst)) is None:
         return None
+    from vntoolkit.io.maps_and_meshes.masks import write_mask
+
     write_mask(request.folder.root / MASK_NAME, backdrop.subject)
     return backdrop
 
