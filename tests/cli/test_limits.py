@@ -122,9 +122,9 @@ def test_limits_end_with_their_block_and_a_call_may_set_its_own(tmp_path):
 
 @pytest.mark.parametrize("value", ["0", "-1", "nan", "inf"])
 def test_limits_that_limit_nothing_are_refused(value):
-    with pytest.raises(BadInput, match="--max-megapixels: expected a number above 0"):
+    with pytest.raises(BadInput, match="max megapixels: expected a number above 0"):
         ReadingLimits(max_megapixels=float(value))
-    with pytest.raises(BadInput, match="--max-vertices: expected a whole number above 0"):
+    with pytest.raises(BadInput, match="max vertices: expected a whole number above 0"):
         ReadingLimits(max_vertices=0)
 
 

@@ -5,6 +5,7 @@ import logging
 from dataclasses import dataclass, field
 from operator import attrgetter
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 
@@ -27,7 +28,7 @@ from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.point_cloud import PointCloud
 from vntoolkit.io.maps_and_meshes.meshes import read_mesh
 from vntoolkit.io.results.folder import write_lock
-from vntoolkit.options.base import File, Named, OptionalFile, Options, as_path, named
+from vntoolkit.options.base import File, Named, OptionalFile, Options, as_path, at_least, named
 from vntoolkit.options.evaluation import Alignment, AlignmentOptions, MeasuredBy, MeasuredByName
 from vntoolkit.options.export import NormalConvention, NormalConventionName
 from vntoolkit.options.footage import MeshLimits, PictureLimits
@@ -306,7 +307,7 @@ class TracksArguments(_Written, MeshLimits):
     """The folders that `vntoolkit track` wrote, or the folders that contain them as `track`."""
     truth: File
     """The folder that `vntoolkit simulate` wrote."""
-    every: int = 10
+    every: Annotated[int, at_least(1)] = 10
     """Evaluate every n-th frame, and the last one."""
 
 
@@ -320,8 +321,6 @@ def evaluate_tracks(asked: TracksArguments) -> dict[str, list[TrackError]]:
     evaluated frames for each folder, NAME.tsv, and the error over the frames, tracks.png.
     """
     out = Path(asked.out)
-    if asked.every < 1:
-        raise BadInput(f"every: expected 1 or more, got {asked.every}")
     if not asked.folders:
         raise BadInput("evaluate tracks: FOLDER is missing (the folder that `vntoolkit track` wrote)")
     folders = {_name(Path(each)): Path(each) for each in asked.folders}

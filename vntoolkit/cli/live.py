@@ -7,6 +7,7 @@ import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 
@@ -23,7 +24,7 @@ from vntoolkit.io.rigs import read_rig
 from vntoolkit.live import capture
 from vntoolkit.live.frames import FrameView, LiveProcessor
 from vntoolkit.live.page import LiveViewer
-from vntoolkit.options.base import File, Named, OptionalFile, named
+from vntoolkit.options.base import File, Named, OptionalFile, named, positive
 from vntoolkit.options.footage import MatteOptions, PictureLimits
 from vntoolkit.options.normals import ShadowMethod, ShadowMethodName
 from vntoolkit.options.pages import CameraOptions, ViewerOptions
@@ -62,15 +63,13 @@ class LiveArguments(CornerOptions, AllowOptions, CameraOptions, ViewerOptions, P
     """How self-shadows are found, as in `reconstruct`; robust takes half a second a frame of 1280×720."""
     record_to: File = Path()
     """The folder for recordings."""
-    seconds: float | None = None
+    seconds: Annotated[float | None, positive("more than 0")] = None
     """Stop after so many seconds; default: when the video ends, or Ctrl-C."""
 
 
 def _prepared(asked: LiveArguments) -> tuple[capture.LiveSource, LiveProcessor]:
     """Return where frames come from and what works on them, warm."""
     require_known_checks(asked.allow)
-    if asked.seconds is not None and not asked.seconds > 0:
-        raise BadInput(f"seconds: expected more than 0, got {asked.seconds:g}")
     rig = read_rig(Path(asked.rig))
     source = _source(asked, rig)
     view = FrameView(crop=asked.crop)

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 from vntoolkit.cli.given import rig_with_corners
 from vntoolkit.cli.output import print_next, say
@@ -13,7 +13,7 @@ from vntoolkit.io.footage.captures import CaptureOptions, open_capture
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.results.manifest import ReconstructionFolder
 from vntoolkit.io.rigs import read_rig
-from vntoolkit.options.base import File, Named, OptionalFile, Source, as_path, named
+from vntoolkit.options.base import File, Named, OptionalFile, Source, as_path, named, positive
 from vntoolkit.options.depth import IntegrationOptions, MeshOptions
 from vntoolkit.options.footage import Gaps, GapsName, MatteOptions, PictureLimits, SensorOptions
 from vntoolkit.options.normals import InversionOptions
@@ -36,7 +36,7 @@ class RunArguments(
 
     WITHOUT: ClassVar[tuple[str, ...]] = ("relative_albedo", "distance_m")
 
-    distance: float | None = None
+    distance: Annotated[float | None, positive("a positive number of metres")] = None
     """Distance in metres from a perspective camera to the subject, along the optical axis. It fixes the scale
     that normals alone leave free."""
     gaps: Named[Gaps, GapsName] = named(Gaps.REFUSE)

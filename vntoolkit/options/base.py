@@ -6,9 +6,11 @@ holds the member. Type checkers know both sides, and refuse a name that no membe
 """
 
 import functools
+import math
 import os
 import typing
-from dataclasses import fields, is_dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, fields, is_dataclass
 from enum import Enum
 from numbers import Integral, Real
 from pathlib import Path
@@ -49,8 +51,39 @@ File: TypeAlias = Path | str | os.PathLike[str]
 OptionalFile: TypeAlias = Named[Path | None, str | os.PathLike[str] | None]
 
 
+@dataclass(frozen=True)
+class Limit:
+    """What numbers a field takes: `rate: Annotated[float, POSITIVE] = 30.0`; None passes."""
+
+    words: str
+    holds: Callable[[Any], bool]
+
+
+def within(low: float, high: float, words: str = "") -> Limit:
+    """Return the limit of a number from low to high."""
+    return Limit(words or f"a value from {low:g} to {high:g}", lambda value: low <= value <= high)
+
+
+def at_least(low: int, words: str = "") -> Limit:
+    """Return the limit of a number that has no upper one."""
+    return Limit(words or f"{low} or more", lambda value: low <= value < math.inf)
+
+
+def one_of(*values: int) -> Limit:
+    """Return the limit of a number among these."""
+    return Limit(f"one of {', '.join(map(str, values))}", lambda value: value in values)
+
+
+def positive(words: str) -> Limit:
+    """Return the limit of a length, a rate and the like."""
+    return Limit(words, lambda value: 0 < value < math.inf)
+
+
+POSITIVE = positive("a positive number")
+
+
 class Options:
-    """Brings what it is given into the type that a field holds; refuses what has none.
+    """Brings what it is given into the type that a field holds; refuses what has none, or is out of range.
 
     What a class refuses beside that is in its `_require_valid`; those of all its bases are asked, too.
     WITHOUT: fields that a verb neither takes nor shows.
@@ -65,6 +98,9 @@ class Options:
             held = _held(given, hint, name.replace("_", " "))
             if held is not given:
                 object.__setattr__(self, name, held)
+            for limit in _limits_of(kind)[name]:
+                if held is not None and not limit.holds(held):
+                    raise BadInput(f"{name.replace('_', ' ')}: expected {limit.words}, got {held:g}")
         following = getattr(super(), "__post_init__", None)
         if following is not None:
             following()
@@ -98,6 +134,15 @@ def hints_of(kind: Any) -> dict[str, Any]:
     """Return the type of every field of an option class."""
     hints = typing.get_type_hints(kind)
     return {field.name: hints[field.name] for field in fields(kind)}
+
+
+@functools.cache
+def _limits_of(kind: Any) -> dict[str, list[Limit]]:
+    hints = typing.get_type_hints(kind, include_extras=True)
+    return {
+        field.name: [each for each in getattr(hints[field.name], "__metadata__", ()) if type(each) is Limit]
+        for field in fields(kind)
+    }
 
 
 def _held(given: Any, hint: Any, name: str) -> Any:

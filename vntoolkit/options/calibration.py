@@ -2,13 +2,10 @@
 
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Literal, TypeAlias
+from typing import Annotated, Literal, TypeAlias
 
-import numpy as np
-
-from vntoolkit.checks import require_in_range
 from vntoolkit.errors import BadInput
-from vntoolkit.options.base import Named, Options, named
+from vntoolkit.options.base import Named, Options, named, positive, within
 from vntoolkit.photometry.response import HIGHEST_DEGREE
 
 
@@ -43,18 +40,14 @@ class ResponseFitOptions(Options):
 class BoardOptions(Options):
     """Options of the calibration on a board."""
 
-    degree: int = 0
+    degree: Annotated[int, within(0, HIGHEST_DEGREE)] = 0
     """Degree of the polynomials by which M varies over the image, 0 to 3. 0 is one M for the whole image.
     Near lights need 2, and a board that was moved through the whole picture."""
-    radial_terms: int = 1
+    radial_terms: Annotated[int, within(0, 2)] = 1
     """Coefficients of radial distortion that are fitted where no camera is given, 0 to 2. More would follow
     noise where no corners are seen near the edge of the image."""
     fit: ResponseFitOptions = field(default_factory=ResponseFitOptions)
     """How M is fitted."""
-
-    def _require_valid(self) -> None:
-        require_in_range(self.degree, 0, HIGHEST_DEGREE, "board: degree of the variation")
-        require_in_range(self.radial_terms, 0, 2, "board: radial terms")
 
 
 class LightColours(Enum):
@@ -79,9 +72,9 @@ class LabelOffset(Enum):
 class PressOptions(Options):
     """Options of the calibration on presses."""
 
-    ball_radius_mm: float
+    ball_radius_mm: Annotated[float, positive("a positive number of millimetres")]
     """Radius of the ball; of several, of those presses that --ball-radii does not list."""
-    pixel_mm: float | None = None
+    pixel_mm: Annotated[float | None, positive("a positive number of millimetres")] = None
     """Side of a pixel on the gel. Default: what --corners and --size-mm tell of the picture as filmed."""
     label_offset: Named[LabelOffset, Literal["common", "own", "none"]] = named(LabelOffset.COMMON)
     """Whether the circles move to their dents."""
@@ -92,7 +85,3 @@ class PressOptions(Options):
         if self.pixel_mm is None:
             raise BadInput("presses: expected --pixel-mm, or --corners and --size-mm")
         return self.pixel_mm
-
-    def _require_valid(self) -> None:
-        if not (0 < self.ball_radius_mm < np.inf and (self.pixel_mm is None or 0 < self.pixel_mm < np.inf)):
-            raise BadInput("presses: expected a positive ball radius and pixel size in mm")

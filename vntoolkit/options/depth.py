@@ -2,10 +2,9 @@
 
 from dataclasses import dataclass
 from enum import Enum
-from typing import Literal, TypeAlias
+from typing import Annotated, Literal, TypeAlias
 
-from vntoolkit.errors import BadInput
-from vntoolkit.options.base import Named, Options, named
+from vntoolkit.options.base import Named, Options, at_least, named, positive
 
 
 class Integrator(Enum):
@@ -39,14 +38,8 @@ class IntegrationOptions(Options):
 class MeshOptions(Options):
     """How depth becomes triangles."""
 
-    largest_step: float = 10.0
+    largest_step: Annotated[float, positive("a positive number of pixels")] = 10.0
     """Largest step of depth within a triangle, in pixel widths at its distance. A triangle with a larger step
     spans a jump and is left out."""
-    stride: int = 1
+    stride: Annotated[int, at_least(1)] = 1
     """Use every stride-th pixel in both directions."""
-
-    def _require_valid(self) -> None:
-        if not self.largest_step > 0:
-            raise BadInput(f"largest step: expected a positive number of pixels, got {self.largest_step:g}")
-        if self.stride < 1:
-            raise BadInput(f"stride: expected 1 or more, got {self.stride}")

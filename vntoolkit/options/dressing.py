@@ -2,12 +2,9 @@
 
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Literal, TypeAlias
+from typing import Annotated, Literal, TypeAlias
 
-import numpy as np
-
-from vntoolkit.errors import BadInput
-from vntoolkit.options.base import Named, Options, named
+from vntoolkit.options.base import POSITIVE, Limit, Named, Options, at_least, named, positive
 
 
 class Garment(Enum):
@@ -37,13 +34,9 @@ class GarmentFitOptions(Options):
     """What it is. Upper garments hang from the neck, and their sleeves on the arms: sweater stands for shirts
     and jackets too. Sleeveless ones leave the arms alone. Trousers and skirts hang from the waist and follow
     the legs. auto tells trousers by the outline, but not a skirt."""
-    fullness: float | None = None
+    fullness: Annotated[float | None, POSITIVE] = None
     """Height of the garment over the height of what it covers, hips to neck or hips to feet. Default: 1.3;
     trousers 1.05, a skirt 0.65."""
-
-    def _require_valid(self) -> None:
-        if self.fullness is not None and not 0 < self.fullness < np.inf:
-            raise BadInput(f"fullness: expected a positive number, got {self.fullness:g}")
 
 
 class Falloff(Enum):
@@ -68,14 +61,10 @@ class WeightOptions(Options):
     falloff: Named[Falloff, Literal["heat", "inverse"]] = named(Falloff.HEAT)
     """How a vertex weighs its bones: heat, by heat along the cloth; inverse, by the inverse distance as
     published."""
-    neighbours: int | None = None
+    neighbours: Annotated[int | None, at_least(1, "at least 1")] = None
     """Number of bones that a vertex follows. Default: 8 by heat, else the 4 nearest."""
     exclude: tuple[str, ...] = ()
     """Joints whose bones get no weight, as names or patterns (`*Hand*`)."""
-
-    def _require_valid(self) -> None:
-        if self.neighbours is not None and self.neighbours < 1:
-            raise BadInput(f"neighbours: expected at least 1, got {self.neighbours}")
 
     @property
     def bones(self) -> int:
@@ -98,26 +87,18 @@ class Loop(Enum):
 class ClockOptions(Options):
     """Start, end and rate of the result."""
 
-    start: float = 0.0
+    start: Annotated[float, at_least(0, "seconds from 0 on")] = 0.0
     """Second of the motion at which the result begins."""
-    stop: float | None = None
+    stop: Annotated[float | None, at_least(0, "seconds from 0 on")] = None
     """Second of the motion at which it ends. Default: the motion's end."""
-    speed: float = 1.0
+    speed: Annotated[float, POSITIVE] = 1.0
     """Seconds of motion per second of result."""
     loop: Named[Loop, Literal["none", "repeat", "ping-pong"]] = named(Loop.NONE)
     """What the cloth does after its last frame where the motion is longer. none ends there; repeat starts
     again; ping-pong plays back and forth, so that nothing jumps."""
-    frame_rate_hz: float | None = None
+    frame_rate_hz: Annotated[float | None, POSITIVE] = None
     """Frames per second of the result. Default: the cloth's. Blender plays a file at its scene's rate, 24
     unless you set it to the file's."""
-
-    def _require_valid(self) -> None:
-        for name, value in (("speed", self.speed), ("frame rate", self.frame_rate_hz)):
-            if value is not None and not 0 < value < np.inf:
-                raise BadInput(f"{name}: expected a positive number, got {value:g}")
-        for name, value in (("start", self.start), ("stop", self.stop)):
-            if value is not None and not 0 <= value < np.inf:
-                raise BadInput(f"{name}: expected seconds from 0 on, got {value:g}")
 
 
 class Anchor(Enum):
@@ -171,11 +152,13 @@ class DressOptions(Options):
     """Which part of the performer's motion is removed from the cloth. bones: the motion of trunk and arms, so
     that sleeves follow the figure's arms alone; folds keep moving. trunk: the motion of the trunk; captured
     sleeves swing on top of the figure's. none: nothing, the performer's steps stay."""
-    figure_height: float = FIGURE_HEIGHT_M
+    figure_height: Annotated[float, positive("positive metres")] = FIGURE_HEIGHT_M
     """Metres from the toes to the crown, for motion files that carry no unit."""
     up_axis: Named[MotionUpAxis, Literal["auto", "y", "z"]] = named(MotionUpAxis.AUTO)
     """Which axis of the motion file points up."""
-    max_stretch: float = 3.0
+    max_stretch: Annotated[float, Limit("a factor above 1, or 0", lambda value: value == 0 or value > 1)] = (
+        3.0
+    )
     """Largest stretch of a triangle's edge where the parts of two bones meet. A triangle that the motion
     stretches more is cut: the capture joined what only touched, such as sleeve and flank. 0 cuts nothing;
     weights by distance cut nothing either."""
@@ -190,9 +173,3 @@ class DressOptions(Options):
     fitting: GarmentFitOptions = field(default_factory=GarmentFitOptions)
     weights: WeightOptions = field(default_factory=WeightOptions)
     clock: ClockOptions = field(default_factory=ClockOptions)
-
-    def _require_valid(self) -> None:
-        if not 0 < self.figure_height < np.inf:
-            raise BadInput(f"figure height: expected positive metres, got {self.figure_height:g}")
-        if self.max_stretch != 0 and not self.max_stretch > 1:
-            raise BadInput(f"max stretch: expected a factor above 1, or 0, got {self.max_stretch:g}")

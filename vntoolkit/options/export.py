@@ -1,12 +1,11 @@
 """Formats, axes and units of exported files."""
 
-import math
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Literal, TypeAlias
+from typing import Annotated, Literal, TypeAlias
 
 from vntoolkit.errors import BadInput
-from vntoolkit.options.base import File, Named, OptionalFile, Options, named
+from vntoolkit.options.base import File, Named, OptionalFile, Options, at_least, named, positive
 from vntoolkit.options.footage import ReadingLimits
 from vntoolkit.options.shared import FrameOptions, MovedFootageOptions
 
@@ -55,18 +54,12 @@ class MeshUpAxis(Enum):
 class CleanOptions(Options):
     """What to clean."""
 
-    smallest_piece: int = 100
+    smallest_piece: Annotated[int, at_least(0)] = 100
     """Connected pieces with fewer triangles are removed; 0 for none."""
-    largest_hole: int = 30
+    largest_hole: Annotated[int, at_least(0)] = 30
     """Holes with at most this many boundary edges are closed; 0 for none."""
-    most_faces: int | None = None
+    most_faces: Annotated[int | None, at_least(1, "at least one triangle to remain")] = None
     """Reduce to this many triangles by quadric edge collapse; default: keep all."""
-
-    def _require_valid(self) -> None:
-        if min(self.smallest_piece, self.largest_hole) < 0:
-            raise BadInput("cleaning: expected smallest piece and largest hole of 0 or more")
-        if self.most_faces is not None and self.most_faces < 1:
-            raise BadInput(f"cleaning: expected at least one triangle to remain, got {self.most_faces}")
 
 
 class ExportFormat(Enum):
@@ -149,7 +142,7 @@ class ExportOptions(CleanOptions):
     states no unit; without a scale, lengths stay as they are."""
     up: Named[MeshUpAxis, Literal["y", "z"]] = named(MeshUpAxis.Y)
     """Axis that points up in meshes."""
-    scale: float | None = None
+    scale: Annotated[float | None, positive("a positive number of metres")] = None
     """Metres for a length of 1 in a result that has no scale of its own (lengths in pixels, or free)."""
     mesh: Named[ExportedSurface, Literal["auto", "tracked", "frames"]] = named(ExportedSurface.AUTO)
     """Which meshes: tracked (the registered surface), frames (those of each frame), or auto (the registered
@@ -157,10 +150,10 @@ class ExportOptions(CleanOptions):
     centre: bool = True
     """Move the registered surface so that its template stands above the origin, its hem on the floor; the
     file's camera is where it was, seen from there."""
-    longest: float | None = None
+    longest: Annotated[float | None, positive("a positive wavelength")] = None
     """For inspection: wavelengths above this are removed, so that the form goes and the relief stays (the L
     filter of ISO 25178). In millimetres; in pixels where the result has no scale."""
-    shortest: float | None = None
+    shortest: Annotated[float | None, positive("a positive wavelength")] = None
     """For inspection: wavelengths below this are removed, so that noise goes (the S filter)."""
     line: tuple[float, float, float, float] | None = None
     """For --to profile: column and row of the first pixel, then of the last."""
@@ -175,8 +168,6 @@ class ExportOptions(CleanOptions):
         return asked if self.clean or asked != CleanOptions() else None
 
     def _require_valid(self) -> None:
-        if self.scale is not None and not self.scale > 0:
-            raise BadInput(f"scale: expected a positive number of metres, got {self.scale:g}")
         if self.to is ExportFormat.GLB and (
             self.up is not MeshUpAxis.Y or self.units not in (None, FileUnit.M)
         ):
@@ -197,9 +188,6 @@ class ExportOptions(CleanOptions):
             return
         if self.units is not None:
             raise BadInput(f"{self.to.value}: its lengths are millimetres, or pixels; leave out --units")
-        for name, length in (("longest", self.longest), ("shortest", self.shortest)):
-            if length is not None and not 0 < length < math.inf:
-                raise BadInput(f"{name}: expected a positive wavelength, got {length:g}")
         if self.longest is not None and self.shortest is not None and self.longest <= self.shortest:
             raise BadInput("longest: expected a longer wavelength than --shortest")
         if self.to is ExportFormat.LOCAL_SHAPE and self.longest is None:

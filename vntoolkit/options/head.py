@@ -2,10 +2,9 @@
 
 from dataclasses import dataclass, field, replace
 from enum import Enum
-from typing import Literal, Self
+from typing import Annotated, Literal, Self
 
-from vntoolkit.errors import BadInput
-from vntoolkit.options.base import Named, Options, named
+from vntoolkit.options.base import Limit, Named, Options, named
 from vntoolkit.options.calibration import ResponseModel, ResponseModelName
 
 
@@ -90,14 +89,10 @@ class HeadOptions(Options):
     features: Named[Features, Literal["tracks", "sift"]] = named(Features.TRACKS)
     """What is matched between frames: tracks of the skin (video), or SIFT features (photographs up to 20
     degrees apart)."""
-    threshold: float | None = None
+    threshold: Annotated[float | None, Limit("a share between 0 and 1", lambda share: 0 < share < 1)] = None
     """Mean of the channels, 0 to 1 of full scale, above which a pixel is subject. The contour is then moved
     to the edge beside it. Default: found from the image's border."""
     light_model: Named[ResponseModel, ResponseModelName] = named(ResponseModel.LINEAR)
     """3×3; or 3×4, which adds ambient light. Take 3×4 for skin of one colour only: on bare skin it takes
     changes of the albedo for ambient light."""
     steps: HeadSteps = field(default_factory=HeadSteps)
-
-    def _require_valid(self) -> None:
-        if self.threshold is not None and not 0 < self.threshold < 1:
-            raise BadInput(f"silhouette threshold: expected 0 to 1, got {self.threshold:g}")

@@ -2,11 +2,9 @@
 
 from dataclasses import dataclass
 from enum import Enum
-from typing import Literal, TypeAlias
+from typing import Annotated, Literal, TypeAlias
 
-from vntoolkit.checks import require_positive
-from vntoolkit.errors import BadInput
-from vntoolkit.options.base import Named, Options, named
+from vntoolkit.options.base import POSITIVE, Limit, Named, Options, named
 
 
 class ClippedPixels(Enum):
@@ -20,18 +18,13 @@ class ClippedPixels(Enum):
 class InversionOptions(Options):
     """How colours become normals."""
 
-    relative_albedo: float = 1.0
+    relative_albedo: Annotated[float, POSITIVE] = 1.0
     """Expected length of M⁻¹(r − a), the surface's albedo over the calibration material's (1 if it is the
     same material; `relative_albedo_from_frame` measures it)."""
-    darkest: float = 0.05
+    darkest: Annotated[float, Limit("a share between 0 and 1", lambda share: 0 < share < 1)] = 0.05
     """Share of the expected albedo below which a pixel is black and has no normal."""
     clipped: Named[ClippedPixels, Literal["downweight", "exclude"]] = named(ClippedPixels.DOWNWEIGHT)
     """What becomes of saturated pixels."""
-
-    def _require_valid(self) -> None:
-        require_positive(self.relative_albedo, "relative albedo")
-        if not 0 < self.darkest < 1:
-            raise BadInput(f"darkest: expected a share between 0 and 1, got {self.darkest:g}")
 
     @property
     def clipped_factor(self) -> float:

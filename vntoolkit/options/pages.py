@@ -1,12 +1,10 @@
 """What pages show, where they are served, and what a camera is asked for."""
 
-import math
 from dataclasses import dataclass
 from enum import Enum
-from typing import Literal, TypeAlias
+from typing import Annotated, Literal, TypeAlias
 
-from vntoolkit.errors import BadInput
-from vntoolkit.options.base import Options
+from vntoolkit.options.base import POSITIVE, Options, at_least, within
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -15,62 +13,43 @@ class ViewerOptions(Options):
 
     host: str = "127.0.0.1"
     """Address to listen on; 127.0.0.1 is seen by this machine only, 0.0.0.0 by the whole network."""
-    port: int = 8080
+    port: Annotated[int, within(1, 65535, "1 to 65535")] = 8080
     """Port of the page; the next free one is taken where it is in use."""
-
-    def _require_valid(self) -> None:
-        if not 0 < self.port < 65536:
-            raise BadInput(f"port: expected 1 to 65535, got {self.port}")
 
 
 @dataclass(frozen=True, kw_only=True)
 class ScenePageOptions(Options):
     """How much of a reconstruction goes into an offline page."""
 
-    vertices: int = 12_000
+    vertices: Annotated[int, at_least(4)] = 12_000
     """Most vertices of a frame's mesh on the page of --html; finer ones are thinned."""
-    most_frames: int = 150
+    most_frames: Annotated[int, at_least(1)] = 150
     """Most frames on that page, evenly spread over the sequence. With 12,000 vertices and four pictures of
     640 pixels, a frame takes about 0.3 MB."""
-
-    def _require_valid(self) -> None:
-        if self.vertices < 4 or self.most_frames < 1:
-            raise BadInput("scene: expected at least 4 vertices and one frame")
 
 
 @dataclass(frozen=True, kw_only=True)
 class ReportOptions(Options):
     """What the report shows."""
 
-    samples: int = 4
+    samples: Annotated[int, at_least(1)] = 4
     """Frames shown as pictures, evenly spread."""
     footage: str = ""
     """Where the footage is now, if not where it was when it was reconstructed."""
-
-    def _require_valid(self) -> None:
-        if self.samples < 1:
-            raise BadInput("report: expected at least one sample frame")
 
 
 @dataclass(frozen=True, kw_only=True)
 class CameraOptions(Options):
     """What is asked of a camera, which gives the nearest that it can."""
 
-    width: int = 1280
+    width: Annotated[int, at_least(1)] = 1280
     """Width in pixels of the picture that the camera is asked for; after crop and rectification it must be
     the rig's. Not for a video, which has its own."""
-    height: int = 720
+    height: Annotated[int, at_least(1)] = 720
     """The same for the height."""
-    rate: float = 30.0
+    rate: Annotated[float, POSITIVE] = 30.0
     """Frames per second that the camera is asked for. A video plays at its own rate with --realtime, else as
     fast as it can be read."""
-
-    def _require_valid(self) -> None:
-        if self.width < 1 or self.height < 1 or not 0 < self.rate < math.inf:
-            raise BadInput(
-                "camera: expected a positive width, height and rate, got "
-                f"{self.width}×{self.height} pixels and {self.rate:g} a second"
-            )
 
 
 class PageSize(Enum):

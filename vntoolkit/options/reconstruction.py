@@ -2,10 +2,10 @@
 
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Literal
+from typing import Annotated, Literal
 
 from vntoolkit.errors import BadInput
-from vntoolkit.options.base import Named, Options, named
+from vntoolkit.options.base import Named, Options, at_least, named, positive, within
 from vntoolkit.options.depth import IntegrationOptions, MeshOptions
 from vntoolkit.options.normals import InversionOptions, ShadowMethod, ShadowMethodName
 
@@ -43,7 +43,7 @@ class ReconstructOptions(Options):
 
     to: Named[Product, Literal["normals", "depth", "mesh"]] = named(Product.MESH)
     """How far to go; each includes what comes before it."""
-    distance_m: float | None = None
+    distance_m: Annotated[float | None, positive("a positive number of metres")] = None
     """Distance in metres from a perspective camera to the subject, along the optical axis. It fixes the scale
     that normals alone leave free."""
     materials: Named[MaterialSearch | int, Literal["auto", "calibrated"] | int] = named(MaterialSearch.AUTO)
@@ -53,10 +53,10 @@ class ReconstructOptions(Options):
     shadows: Named[ShadowMethod, ShadowMethodName] = named(ShadowMethod.ROBUST)
     """Method that finds where the subject shadows itself: robust, published (the paper's detector) or none.
     The surface in shadow is then recovered, and visibility labels are written."""
-    reference_frame: int | None = None
+    reference_frame: Annotated[int | None, at_least(0, "a frame number")] = None
     """The constant that normals leave free in depth is tied to this frame. Noise and the blur of materials'
     seams are measured in it. Default: the first of all frames that were asked for."""
-    smoothing: float = 0.0
+    smoothing: Annotated[float, within(0, 1, "a share of full scale from 0 to 1")] = 0.0
     """Average a pixel with the frames before and after where its colour differs by less than this share of
     full scale. 0 is off; about 3 times the noise is useful."""
     on_error: Named[OnError, Literal["stop", "skip"]] = named(OnError.STOP)
@@ -66,14 +66,8 @@ class ReconstructOptions(Options):
     meshing: MeshOptions = field(default_factory=MeshOptions)
 
     def _require_valid(self) -> None:
-        if self.distance_m is not None and not self.distance_m > 0:
-            raise BadInput(f"distance: expected a positive number of metres, got {self.distance_m:g}")
         if not isinstance(self.materials, MaterialSearch) and not 1 <= self.materials <= MOST_MATERIALS:
             raise BadInput(
                 f"materials: expected auto, calibrated or a number from 1 to {MOST_MATERIALS}, got "
                 f"{self.materials}"
             )
-        if not 0 <= self.smoothing <= 1:
-            raise BadInput(f"smoothing: expected a share of full scale from 0 to 1, got {self.smoothing:g}")
-        if self.reference_frame is not None and self.reference_frame < 0:
-            raise BadInput(f"reference frame: expected a frame number, got {self.reference_frame}")

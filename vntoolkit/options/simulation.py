@@ -2,11 +2,10 @@
 
 from dataclasses import dataclass, fields, replace
 from enum import Enum
-from typing import Literal, TypeAlias
+from typing import Annotated, Literal, TypeAlias
 
-from vntoolkit.checks import require_in_range
 from vntoolkit.errors import BadInput
-from vntoolkit.options.base import Named, Options, named
+from vntoolkit.options.base import Named, Options, at_least, named, one_of, within
 from vntoolkit.photometry.transfer import Transfer
 
 
@@ -29,39 +28,29 @@ LightingName: TypeAlias = Literal["coloured", "red", "green", "blue", "white-1",
 class SceneOptions(Options):
     """Options of every scene."""
 
-    width: int = 640
+    width: Annotated[int, at_least(16)] = 640
     """Image size in pixels."""
-    height: int = 480
+    height: Annotated[int, at_least(16)] = 480
     """Image size in pixels."""
     seed: int = 0
     """Seed of the scene's own randomness (motion, texture)."""
     lighting: Named[Lighting, LightingName] = named(Lighting.COLOURED)
     """The coloured lamps together, or a white lamp in one of the three places."""
-    field_width_m: float | None = None
+    field_width_m: Annotated[float | None, within(0.01, 5.0, "0.01 to 5 m across")] = None
     """Width of the field of view at the subject, metres. Default: the scene's own. The board is printed in
     proportion, so that one zoom films the board and another scene."""
     sample: str | None = None
     """Scene whose material lies in the board's hole. Default: a grey cloth or paper."""
-
-    def _require_valid(self) -> None:
-        if self.width < 16 or self.height < 16:
-            raise BadInput(f"simulate: expected an image of at least 16×16, got {self.width}×{self.height}")
-        if self.field_width_m is not None and not 0.01 <= self.field_width_m <= 5.0:
-            raise BadInput(f"simulate: expected a field of 0.01 to 5 m across, got {self.field_width_m:g} m")
 
 
 @dataclass(frozen=True, kw_only=True)
 class RenderOptions(Options):
     """How a frame is rendered."""
 
-    samples: int = 5
+    samples: Annotated[int, one_of(1, 5, 9)] = 5
     """Rays per pixel: 1, 5 or 9."""
     threads: int = 0
     """For ray casting, 0 = all cores."""
-
-    def _require_valid(self) -> None:
-        if self.samples not in (1, 5, 9):
-            raise BadInput(f"samples: expected 1, 5 or 9 per pixel, got {self.samples}")
 
 
 STORED_BITS = (8, 10, 12, 16)
@@ -84,13 +73,13 @@ class Nuisances(Options):
     """The reflectance varies over the surface. Off: it is the reference material's everywhere."""
     gloss: bool = True
     """Glossy parts of the scene reflect the lamps."""
-    blur_px: float = 0.6
+    blur_px: Annotated[float, within(0.0, 20.0)] = 0.6
     """Standard deviation of the lens's blur in pixels, 0 for none."""
     noise: bool = True
     """Shot and read noise."""
-    full_well_electrons: float = 15000.0
+    full_well_electrons: Annotated[float, within(1.0, 1e9)] = 15000.0
     """Electrons that a sensor pixel holds at full scale."""
-    read_noise_electrons: float = 4.0
+    read_noise_electrons: Annotated[float, within(0.0, 1e6)] = 4.0
     """Standard deviation of the read noise."""
     bayer: bool = True
     """A pixel measures one colour and the others are interpolated."""
@@ -98,20 +87,14 @@ class Nuisances(Options):
     """Light above full scale is lost. It matters without quantisation only, since integers clip."""
     quantisation: bool = True
     """Samples are rounded to integers. Off: the file has 16 bits."""
-    bits: int = 8
+    bits: Annotated[int, one_of(*STORED_BITS)] = 8
     """8, 10, 12 or 16 per sample."""
     transfer: str = "linear"
     """Curve of the stored values, linear, srgb, bt709 or gamma:G."""
-    black_level: float = 0.0
+    black_level: Annotated[float, within(0.0, 0.5)] = 0.0
     """Linear value that means no light, 0 to 0.5."""
 
     def _require_valid(self) -> None:
-        require_in_range(self.blur_px, 0.0, 20.0, "blur_px")
-        require_in_range(self.full_well_electrons, 1.0, 1e9, "full_well_electrons")
-        require_in_range(self.read_noise_electrons, 0.0, 1e6, "read_noise_electrons")
-        require_in_range(self.black_level, 0.0, 0.5, "black_level")
-        if self.bits not in STORED_BITS:
-            raise BadInput(f"bits: expected one of {', '.join(map(str, STORED_BITS))}, got {self.bits}")
         Transfer.from_text(self.transfer)
 
     @property
@@ -168,9 +151,5 @@ def nuisance_names() -> tuple[str, ...]:
 class DemoOptions(Options):
     """How large the demonstration is."""
 
-    frames: int = 12
+    frames: Annotated[int, within(1, 1000, "1 to 1000 frames")] = 12
     """Frames of the garment that are filmed and reconstructed."""
-
-    def _require_valid(self) -> None:
-        if not 1 <= self.frames <= 1000:
-            raise BadInput(f"demo: expected 1 to 1000 frames, got {self.frames}")

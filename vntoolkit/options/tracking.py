@@ -3,10 +3,9 @@
 from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
-from typing import Literal, TypeAlias
+from typing import Annotated, Literal, TypeAlias
 
-from vntoolkit.checks import require_positive
-from vntoolkit.options.base import File, Named, OptionalFile, Options, named
+from vntoolkit.options.base import POSITIVE, File, Named, OptionalFile, Options, named
 from vntoolkit.options.footage import ReadingLimits
 from vntoolkit.options.shared import MovedFootageOptions
 
@@ -53,7 +52,7 @@ class TrackArguments(MovedFootageOptions, TrackingOptions, ReadingLimits):
     --seams, and on a tactile gel, the first. It is tracked forwards and backwards."""
     out: OptionalFile = named(None)
     """The folder to write; default FOLDER/track."""
-    lost_px: float = LOST_PX
+    lost_px: Annotated[float, POSITIVE] = LOST_PX
     """A vertex is called lost where its expected error is above this, in pixels."""
     background: OptionalFile = named(None)
     """The background image that the reconstruction subtracted, for the colours of the texture."""
@@ -66,6 +65,3 @@ class TrackArguments(MovedFootageOptions, TrackingOptions, ReadingLimits):
     def target(self) -> Path:
         """The folder to write."""
         return self.out or Path(self.folder) / "track"
-
-    def _require_valid(self) -> None:
-        require_positive(self.lost_px, "expected error from which a vertex is lost, in pixels")

@@ -46,13 +46,13 @@ def test_capture_options_that_are_none(options, line):
 
 @pytest.mark.parametrize("rate", [NAN, INF, 0.0])
 def test_a_camera_needs_a_rate(rate):
-    with pytest.raises(BadInput, match="camera: expected a positive width, height and rate, got 1280×720"):
+    with pytest.raises(BadInput, match="rate: expected a positive number, got"):
         CameraOptions(rate=rate)
 
 
 def test_a_sample_holds_no_more_bits_than_its_bytes(tmp_path):
     for bits in (0, 17):
-        with pytest.raises(BadInput, match=f"capture: bits: expected a value from 1 to 16, got {bits}"):
+        with pytest.raises(BadInput, match=f"bits: expected a value from 1 to 16, got {bits}"):
             SensorOptions(bits=bits)
     write_png(tmp_path / "a.png", np.full((4, 4, 3), 200, np.uint8))
     with pytest.raises(BadCapture, match=r"a\.png: samples of 8 bits cannot hold 12"):
