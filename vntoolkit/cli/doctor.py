@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
@@ -74,7 +75,26 @@ class DoctorArguments(BackgroundOptions, MatteOptions, SensorOptions, PictureLim
     rig's, else the one that the file states, else linear."""
 
 
-def _inspected(asked: DoctorArguments) -> CaptureReport:
+def _shown(asked: DoctorArguments, run: Callable[[DoctorArguments], CaptureReport]) -> int:
+    """Print what was found; 1 where something is broken or fatal."""
+    if asked.source is None:
+        return _check_libraries(Console())
+    from vntoolkit.diagnosis.finding import Level
+
+    report = run(asked)
+    _print_report(Console(emoji=False), str(asked.source), report)
+    fatal = any(finding.level is Level.FATAL for finding in report.findings)
+    rig = Path(asked.rig or "rig.json")
+    if not fatal and rig.is_file():
+        print_next("reconstruct", str(asked.source), "--rig", rig, "--out", unused("result"))
+    elif not fatal:
+        print_next("board", "--out", "board.pdf")
+    return int(fatal)
+
+
+@verb(DoctorArguments, show=_shown)
+def inspect_footage(asked: DoctorArguments) -> CaptureReport:
+    """Check the installation, or check footage for faults that spoil normals."""
     from vntoolkit.diagnosis.inspection import inspect_capture
     from vntoolkit.io.footage.captures import CaptureOptions
     from vntoolkit.io.rigs import read_rig
@@ -96,29 +116,6 @@ def _inspected(asked: DoctorArguments) -> CaptureReport:
         matting=asked.part(MatteOptions),
         plate=background,
     )
-
-
-def _shown(asked: DoctorArguments) -> int:
-    """Print what was found; 1 where something is broken or fatal."""
-    if asked.source is None:
-        return _check_libraries(Console())
-    from vntoolkit.diagnosis.finding import Level
-
-    report = _inspected(asked)
-    _print_report(Console(emoji=False), str(asked.source), report)
-    fatal = any(finding.level is Level.FATAL for finding in report.findings)
-    rig = Path(asked.rig or "rig.json")
-    if not fatal and rig.is_file():
-        print_next("reconstruct", str(asked.source), "--rig", rig, "--out", unused("result"))
-    elif not fatal:
-        print_next("board", "--out", "board.pdf")
-    return int(fatal)
-
-
-@verb(DoctorArguments, show=_shown)
-def inspect_footage(asked: DoctorArguments) -> CaptureReport:
-    """Check the installation, or check footage for faults that spoil normals."""
-    return _inspected(asked)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,6 +1,7 @@
 """`vntoolkit report`: write an HTML page on the quality of a reconstruction."""
 
 import json
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -26,18 +27,13 @@ class ReportArguments(ReportOptions, ReadingLimits):
     """Print findings, frames and options as JSON instead of writing a page. In Python the page is written."""
 
 
-def _written(asked: ReportArguments) -> Path:
-    require_output(asked.out, PAGE)
-    return pages.write_report(Path(asked.folder), asked.out, asked.part(ReportOptions))
-
-
-def _shown(asked: ReportArguments) -> None:
+def _shown(asked: ReportArguments, run: Callable[[ReportArguments], Path]) -> None:
     """Print the page's name and what comes next."""
     folder = Path(asked.folder)
     if asked.json:
         print(json.dumps(pages.content_of_report(read_result(folder)), indent=1))
         return
-    say(_written(asked))
+    say(run(asked))
     if (folder / "track").is_dir():
         print_next("export", folder, "--to", "usd")
     elif (folder / "depth").is_dir() and read_manifest(folder).input.frame_count > 1:
@@ -49,4 +45,5 @@ def _shown(asked: ReportArguments) -> None:
 @verb(ReportArguments, show=_shown)
 def write_report(asked: ReportArguments) -> Path:
     """Write one self-contained HTML page on a reconstruction: pictures, calibration, statistics, warnings."""
-    return _written(asked)
+    require_output(asked.out, PAGE)
+    return pages.write_report(Path(asked.folder), asked.out, asked.part(ReportOptions))

@@ -1,5 +1,6 @@
 """`vntoolkit session`: reconstruct and track many captures, on one machine or several."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -33,28 +34,6 @@ class SessionArguments(RunArguments):
     folder of mattes for each, named as the capture is: take1.png, take1.mkv or take1."""
 
 
-def _outcomes(asked: SessionArguments) -> list[CaptureOutcome]:
-    if not asked.sources:
-        raise BadInput("session: expected at least one video or folder of images, got none")
-    if asked.track and asked.to is Product.NORMALS:
-        raise BadInput("--track needs depth: give --to depth or mesh, not normals")
-    if asked.method is not Tracker.DEFAULT and not asked.track:
-        raise BadInput("--method needs --track")
-    lit_by, out = read_rig(Path(asked.rig)), Path(asked.out)
-    captures = {
-        name: asked.job(source, lit_by, out / name, _mask_of(name, asked.mask))
-        for name, source in names_from_sources(tuple(map(str, asked.sources))).items()
-    }
-    return run_session(
-        captures,
-        tracking=TrackingOptions(method=asked.method) if asked.track else None,
-        frames=asked.range,
-        workers=asked.jobs,
-        scheduler=asked.scheduler,
-        overwrite=asked.overwrite,
-    )
-
-
 def _mask_of(name: str, mask: Path | None) -> Path | None:
     """Return the mask of one capture: the image for all, or what the folder holds under its name."""
     if mask is None or not mask.is_dir():
@@ -66,9 +45,9 @@ def _mask_of(name: str, mask: Path | None) -> Path | None:
     return found[0]
 
 
-def _reported(asked: SessionArguments) -> None:
+def _reported(asked: SessionArguments, run: Callable[[SessionArguments], list[CaptureOutcome]]) -> None:
     """Print a line for each capture; raise `VntError` where one failed."""
-    out, outcomes = Path(asked.out), _outcomes(asked)
+    out, outcomes = Path(asked.out), run(asked)
     for outcome in outcomes:
         say(f"{out / outcome.name}: {_line(outcome)}")
     failed = [outcome.name for outcome in outcomes if outcome.failure or _loss(outcome)]
@@ -104,4 +83,22 @@ def session(asked: SessionArguments) -> list[CaptureOutcome]:
     an interrupted run. With a scheduler, all workers reconstruct the frames of one capture, and one of them
     tracks it while the others reconstruct the next.
     """
-    return _outcomes(asked)
+    if not asked.sources:
+        raise BadInput("session: expected at least one video or folder of images, got none")
+    if asked.track and asked.to is Product.NORMALS:
+        raise BadInput("--track needs depth: give --to depth or mesh, not normals")
+    if asked.method is not Tracker.DEFAULT and not asked.track:
+        raise BadInput("--method needs --track")
+    lit_by, out = read_rig(Path(asked.rig)), Path(asked.out)
+    captures = {
+        name: asked.job(source, lit_by, out / name, _mask_of(name, asked.mask))
+        for name, source in names_from_sources(tuple(map(str, asked.sources))).items()
+    }
+    return run_session(
+        captures,
+        tracking=TrackingOptions(method=asked.method) if asked.track else None,
+        frames=asked.range,
+        workers=asked.jobs,
+        scheduler=asked.scheduler,
+        overwrite=asked.overwrite,
+    )

@@ -61,12 +61,13 @@ _GROUPS = {panel: Group(panel, sort_key=place) for place, panel in enumerate(_PA
 def verb(
     arguments: Callable[P, Asked],
     *,
-    show: Callable[[Asked], object] | None = None,
+    show: Callable[[Asked, Callable[[Asked], R]], object] | None = None,
     prints: bool = False,
 ) -> Callable[[Callable[[Asked], R]], Callable[P, R]]:
     """Make a function of an argument class one that takes the fields of the class.
 
-    show: what the command runs instead, where it does more than the call; it may return the exit status.
+    show: what the command does with the function, where it does more than call it; it may return the exit
+    status.
     prints: whether a call from Python prints what the command does.
     """
 
@@ -79,7 +80,7 @@ def verb(
                 return run(asked)
 
         shown: Any = call
-        shown.arguments, shown.show = arguments, show or run
+        shown.arguments, shown.show = arguments, (lambda asked: show(asked, run)) if show else run
         returned = inspect.signature(run).return_annotation
         shown.__signature__ = inspect.Signature(_parameters(arguments), return_annotation=returned)
         return call

@@ -1,6 +1,7 @@
 """`vntoolkit view`: look at a reconstruction in a browser."""
 
 import contextlib
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -10,7 +11,7 @@ from vntoolkit.options.base import File, OptionalFile, named
 from vntoolkit.options.footage import ReadingLimits
 from vntoolkit.options.pages import ScenePageOptions, ViewerOptions
 from vntoolkit.options.shared import FrameOptions, MovedFootageOptions
-from vntoolkit.pipeline.opened_result import OpenedResult, read_result
+from vntoolkit.pipeline.opened_result import read_result
 from vntoolkit.report.result_scene import ResultViewer, counted, write_scene
 
 
@@ -24,32 +25,14 @@ class ViewArguments(FrameOptions, MovedFootageOptions, ViewerOptions, ScenePageO
     """Write one self-contained page that opens offline, instead of serving."""
 
 
-def _opened(asked: ViewArguments) -> OpenedResult:
-    require_output(asked.html, PAGE)
-    return read_result(asked.folder, frames=asked.frames, footage=asked.footage)
-
-
-def _written(asked: ViewArguments, result: OpenedResult, html: Path) -> int:
-    """Write the page; return how many frames it has."""
-    scene = asked.part(ScenePageOptions)
-    write_scene(html, result, scene)
-    return min(len(result.numbers), scene.most_frames)
-
-
-def _shown(asked: ViewArguments) -> None:
-    """Serve until Ctrl-C, or print what was written."""
-    result = _opened(asked)
-    if asked.html is not None:
-        count = _written(asked, result, asked.html)
-        thinned = f" of {len(result.numbers)}, evenly spread" if count < len(result.numbers) else ""
-        say(f"{asked.html}: {counted(count)}{thinned}; {asked.html.stat().st_size / 1e6:.1f} MB")
-        print_next("report", str(asked.folder))
-        return
-    shown = ResultViewer(result, asked.part(ViewerOptions))
-    say(f"{shown.address} (Ctrl-C ends)", flush=True)
-    with contextlib.suppress(KeyboardInterrupt):
-        shown.wait()
-    shown.close()
+def _shown(asked: ViewArguments, run: Callable[[ViewArguments], ResultViewer | Path]) -> None:
+    """Serve until Ctrl-C, where no page was written."""
+    shown = run(asked)
+    if isinstance(shown, ResultViewer):
+        say(f"{shown.address} (Ctrl-C ends)", flush=True)
+        with contextlib.suppress(KeyboardInterrupt):
+            shown.wait()
+        shown.close()
     print_next("report", str(asked.folder))
 
 
@@ -59,8 +42,13 @@ def view(asked: ViewArguments) -> ResultViewer | Path:
 
     In Python the server is returned, of which `.address` is the page and `.close()` ends it; or the file.
     """
-    result = _opened(asked)
+    require_output(asked.html, PAGE)
+    result = read_result(asked.folder, frames=asked.frames, footage=asked.footage)
     if asked.html is None:
         return ResultViewer(result, asked.part(ViewerOptions))
-    _written(asked, result, asked.html)
+    scene = asked.part(ScenePageOptions)
+    write_scene(asked.html, result, scene)
+    count, most = len(result.numbers), scene.most_frames
+    thinned = f" of {count}, evenly spread" if most < count else ""
+    say(f"{asked.html}: {counted(min(count, most))}{thinned}; {asked.html.stat().st_size / 1e6:.1f} MB")
     return asked.html

@@ -85,7 +85,7 @@ POSITIVE = positive("a positive number")
 class Options:
     """Brings what it is given into the type that a field holds; refuses what has none, or is out of range.
 
-    What a class refuses beside that is in its `_require_valid`; those of all its bases are asked, too.
+    What a class refuses beside that is in its own `__post_init__`, after that of its bases.
     WITHOUT: fields that a verb neither takes nor shows.
     """
 
@@ -104,9 +104,6 @@ class Options:
         following = getattr(super(), "__post_init__", None)
         if following is not None:
             following()
-        for each in reversed(kind.__mro__):
-            if "_require_valid" in vars(each):
-                each._require_valid(self)
 
     def part(self, kind: type[Part]) -> Part:
         """Return the options of one stage, taken from the fields of these by their names."""

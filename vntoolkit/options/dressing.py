@@ -73,10 +73,7 @@ class WeightOptions(Options):
 
 
 class Loop(Enum):
-    """What the cloth does after its last frame.
-
-    NONE ends there; REPEAT starts again; PING_PONG plays back and forth, so that nothing jumps.
-    """
+    """What the cloth does after its last frame."""
 
     NONE = "none"
     REPEAT = "repeat"
@@ -102,14 +99,9 @@ class ClockOptions(Options):
 
 
 class Anchor(Enum):
-    """Which part of the performer's motion is removed from the cloth.
+    """Which part of the performer's motion is removed from the cloth."""
 
-    BONES: the rigid motion of the cloth over the trunk, each upper arm and each forearm; folds keep moving.
-    TRUNK: that over the trunk only; captured sleeves swing on top of the figure's. NONE: nothing, the
-    performer's steps stay.
-    """
-
-    BONES = "bones"
+    BONES = "bones"  # the rigid motion of the cloth over the trunk, each upper arm and each forearm
     TRUNK = "trunk"
     NONE = "none"
 
@@ -125,10 +117,7 @@ FIGURE_HEIGHT_M = 1.65  # toes to crown of an average adult, as skeletons measur
 
 
 class AnimationStorage(Enum):
-    """What moves the cloth in a USD or GLB.
-
-    SKIN: joint weights and blend shapes. CACHE: every vertex of every frame, exact and large.
-    """
+    """What moves the cloth in a USD or GLB."""
 
     SKIN = "skin"
     CACHE = "cache"

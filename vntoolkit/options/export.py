@@ -167,7 +167,8 @@ class ExportOptions(CleanOptions):
         asked = self.part(CleanOptions)
         return asked if self.clean or asked != CleanOptions() else None
 
-    def _require_valid(self) -> None:
+    def __post_init__(self) -> None:
+        super().__post_init__()
         if self.to is ExportFormat.GLB and (
             self.up is not MeshUpAxis.Y or self.units not in (None, FileUnit.M)
         ):

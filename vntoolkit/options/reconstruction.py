@@ -65,7 +65,8 @@ class ReconstructOptions(Options):
     integration: IntegrationOptions = field(default_factory=IntegrationOptions)
     meshing: MeshOptions = field(default_factory=MeshOptions)
 
-    def _require_valid(self) -> None:
+    def __post_init__(self) -> None:
+        super().__post_init__()
         if not isinstance(self.materials, MaterialSearch) and not 1 <= self.materials <= MOST_MATERIALS:
             raise BadInput(
                 f"materials: expected auto, calibrated or a number from 1 to {MOST_MATERIALS}, got "

@@ -94,7 +94,8 @@ class Nuisances(Options):
     black_level: Annotated[float, within(0.0, 0.5)] = 0.0
     """Linear value that means no light, 0 to 0.5."""
 
-    def _require_valid(self) -> None:
+    def __post_init__(self) -> None:
+        super().__post_init__()
         Transfer.from_text(self.transfer)
 
     @property
