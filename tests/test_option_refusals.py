@@ -100,7 +100,7 @@ REFUSALS = [
     ("options.simulation:Nuisances", {"bits": 9}, "bits: expected one of 8, 10, 12, 16, got 9"),
     ("options.simulation:Nuisances", {"read_noise_electrons": -1},
      "read noise electrons: expected a value from 0"),
-    ("options.simulation:RenderOptions", {"samples": 2}, "samples: expected one of 1, 5, 9, got 2"),
+    ("options.simulation:RenderOptions", {"samples": 2}, "samples: expected 1, 5 or 9 per pixel, got 2"),
     ("options.simulation:SceneOptions", {"width": 9}, "width: expected 16 or more, got 9"),
     ("options.simulation:SceneOptions", {"field_width_m": 9.0}, r"expected 0\.01 to 5 m across, got 9"),
     ("options.dressing:DressOptions", {"max_stretch": 1.0}, "max stretch: expected a factor above 1"),

@@ -28,7 +28,7 @@ from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.point_cloud import PointCloud
 from vntoolkit.io.maps_and_meshes.meshes import read_mesh
 from vntoolkit.io.results.folder import write_lock
-from vntoolkit.options.base import File, Named, OptionalFile, Options, as_path, at_least, named
+from vntoolkit.options.base import File, Named, OptionalFile, Options, as_path, named, within
 from vntoolkit.options.evaluation import Alignment, AlignmentOptions, MeasuredBy, MeasuredByName
 from vntoolkit.options.export import NormalConvention, NormalConventionName
 from vntoolkit.options.footage import MeshLimits, PictureLimits
@@ -307,7 +307,7 @@ class TracksArguments(_Written, MeshLimits):
     """The folders that `vntoolkit track` wrote, or the folders that contain them as `track`."""
     truth: File
     """The folder that `vntoolkit simulate` wrote."""
-    every: Annotated[int, at_least(1)] = 10
+    every: Annotated[int, within(1)] = 10
     """Evaluate every n-th frame, and the last one."""
 
 

@@ -10,12 +10,12 @@ import math
 import os
 import typing
 from collections.abc import Callable
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import fields, is_dataclass
 from enum import Enum
 from numbers import Integral, Real
 from pathlib import Path
 from types import UnionType
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeAlias, TypeVar, Union
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, NamedTuple, TypeAlias, TypeVar, Union
 
 from vntoolkit.errors import BadInput
 
@@ -51,35 +51,22 @@ File: TypeAlias = Path | str | os.PathLike[str]
 OptionalFile: TypeAlias = Named[Path | None, str | os.PathLike[str] | None]
 
 
-@dataclass(frozen=True)
-class Limit:
-    """What numbers a field takes: `rate: Annotated[float, POSITIVE] = 30.0`; None passes."""
+class Limit(NamedTuple):
+    """What numbers a field takes: `rate: Annotated[float, positive()] = 30.0`; None passes."""
 
     words: str
     holds: Callable[[Any], bool]
 
 
-def within(low: float, high: float, words: str = "") -> Limit:
-    """Return the limit of a number from low to high."""
-    return Limit(words or f"a value from {low:g} to {high:g}", lambda value: low <= value <= high)
+def within(low: float, high: float = math.inf, words: str = "") -> Limit:
+    """Return the limit of a finite number from low to high."""
+    said = f"{low:g} or more" if high == math.inf else f"a value from {low:g} to {high:g}"
+    return Limit(words or said, lambda value: math.isfinite(value) and low <= value <= high)
 
 
-def at_least(low: int, words: str = "") -> Limit:
-    """Return the limit of a number that has no upper one."""
-    return Limit(words or f"{low} or more", lambda value: low <= value < math.inf)
-
-
-def one_of(*values: int) -> Limit:
-    """Return the limit of a number among these."""
-    return Limit(f"one of {', '.join(map(str, values))}", lambda value: value in values)
-
-
-def positive(words: str) -> Limit:
+def positive(words: str = "a positive number") -> Limit:
     """Return the limit of a length, a rate and the like."""
     return Limit(words, lambda value: 0 < value < math.inf)
-
-
-POSITIVE = positive("a positive number")
 
 
 class Options:
@@ -101,9 +88,7 @@ class Options:
             for limit in _limits_of(kind)[name]:
                 if held is not None and not limit.holds(held):
                     raise BadInput(f"{name.replace('_', ' ')}: expected {limit.words}, got {held:g}")
-        following = getattr(super(), "__post_init__", None)
-        if following is not None:
-            following()
+        getattr(super(), "__post_init__", lambda: None)()  # of a base that is no class of options
 
     def part(self, kind: type[Part]) -> Part:
         """Return the options of one stage, taken from the fields of these by their names."""
@@ -134,12 +119,9 @@ def hints_of(kind: Any) -> dict[str, Any]:
 
 
 @functools.cache
-def _limits_of(kind: Any) -> dict[str, list[Limit]]:
+def _limits_of(kind: Any) -> dict[str, tuple[Limit, ...]]:
     hints = typing.get_type_hints(kind, include_extras=True)
-    return {
-        field.name: [each for each in getattr(hints[field.name], "__metadata__", ()) if type(each) is Limit]
-        for field in fields(kind)
-    }
+    return {name: getattr(hints[name], "__metadata__", ()) for name in hints_of(kind)}
 
 
 def _held(given: Any, hint: Any, name: str) -> Any:

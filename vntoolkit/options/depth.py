@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Annotated, Literal, TypeAlias
 
-from vntoolkit.options.base import Named, Options, at_least, named, positive
+from vntoolkit.options.base import Named, Options, named, positive, within
 
 
 class Integrator(Enum):
@@ -41,5 +41,5 @@ class MeshOptions(Options):
     largest_step: Annotated[float, positive("a positive number of pixels")] = 10.0
     """Largest step of depth within a triangle, in pixel widths at its distance. A triangle with a larger step
     spans a jump and is left out."""
-    stride: Annotated[int, at_least(1)] = 1
+    stride: Annotated[int, within(1)] = 1
     """Use every stride-th pixel in both directions."""

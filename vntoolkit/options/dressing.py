@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Annotated, Literal, TypeAlias
 
-from vntoolkit.options.base import POSITIVE, Limit, Named, Options, at_least, named, positive
+from vntoolkit.options.base import Limit, Named, Options, named, positive, within
 
 
 class Garment(Enum):
@@ -34,7 +34,7 @@ class GarmentFitOptions(Options):
     """What it is. Upper garments hang from the neck, and their sleeves on the arms: sweater stands for shirts
     and jackets too. Sleeveless ones leave the arms alone. Trousers and skirts hang from the waist and follow
     the legs. auto tells trousers by the outline, but not a skirt."""
-    fullness: Annotated[float | None, POSITIVE] = None
+    fullness: Annotated[float | None, positive()] = None
     """Height of the garment over the height of what it covers, hips to neck or hips to feet. Default: 1.3;
     trousers 1.05, a skirt 0.65."""
 
@@ -61,7 +61,7 @@ class WeightOptions(Options):
     falloff: Named[Falloff, Literal["heat", "inverse"]] = named(Falloff.HEAT)
     """How a vertex weighs its bones: heat, by heat along the cloth; inverse, by the inverse distance as
     published."""
-    neighbours: Annotated[int | None, at_least(1, "at least 1")] = None
+    neighbours: Annotated[int | None, within(1, words="at least 1")] = None
     """Number of bones that a vertex follows. Default: 8 by heat, else the 4 nearest."""
     exclude: tuple[str, ...] = ()
     """Joints whose bones get no weight, as names or patterns (`*Hand*`)."""
@@ -84,16 +84,16 @@ class Loop(Enum):
 class ClockOptions(Options):
     """Start, end and rate of the result."""
 
-    start: Annotated[float, at_least(0, "seconds from 0 on")] = 0.0
+    start: Annotated[float, within(0, words="seconds from 0 on")] = 0.0
     """Second of the motion at which the result begins."""
-    stop: Annotated[float | None, at_least(0, "seconds from 0 on")] = None
+    stop: Annotated[float | None, within(0, words="seconds from 0 on")] = None
     """Second of the motion at which it ends. Default: the motion's end."""
-    speed: Annotated[float, POSITIVE] = 1.0
+    speed: Annotated[float, positive()] = 1.0
     """Seconds of motion per second of result."""
     loop: Named[Loop, Literal["none", "repeat", "ping-pong"]] = named(Loop.NONE)
     """What the cloth does after its last frame where the motion is longer. none ends there; repeat starts
     again; ping-pong plays back and forth, so that nothing jumps."""
-    frame_rate_hz: Annotated[float | None, POSITIVE] = None
+    frame_rate_hz: Annotated[float | None, positive()] = None
     """Frames per second of the result. Default: the cloth's. Blender plays a file at its scene's rate, 24
     unless you set it to the file's."""
 

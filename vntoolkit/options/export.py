@@ -5,7 +5,7 @@ from enum import Enum
 from typing import Annotated, Literal, TypeAlias
 
 from vntoolkit.errors import BadInput
-from vntoolkit.options.base import File, Named, OptionalFile, Options, at_least, named, positive
+from vntoolkit.options.base import File, Named, OptionalFile, Options, named, positive, within
 from vntoolkit.options.footage import ReadingLimits
 from vntoolkit.options.shared import FrameOptions, MovedFootageOptions
 
@@ -54,11 +54,11 @@ class MeshUpAxis(Enum):
 class CleanOptions(Options):
     """What to clean."""
 
-    smallest_piece: Annotated[int, at_least(0)] = 100
+    smallest_piece: Annotated[int, within(0)] = 100
     """Connected pieces with fewer triangles are removed; 0 for none."""
-    largest_hole: Annotated[int, at_least(0)] = 30
+    largest_hole: Annotated[int, within(0)] = 30
     """Holes with at most this many boundary edges are closed; 0 for none."""
-    most_faces: Annotated[int | None, at_least(1, "at least one triangle to remain")] = None
+    most_faces: Annotated[int | None, within(1, words="at least one triangle to remain")] = None
     """Reduce to this many triangles by quadric edge collapse; default: keep all."""
 
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Annotated, Literal, TypeAlias
 
-from vntoolkit.options.base import Named, Options, at_least, named, positive, within
+from vntoolkit.options.base import Named, Options, named, positive, within
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,7 +20,7 @@ class PictureLimits(Options):
 class MeshLimits(Options):
     """The largest meshes that are read."""
 
-    max_vertices: Annotated[int, at_least(1, "a whole number above 0, such as 50000000")] = 20_000_000
+    max_vertices: Annotated[int, within(1, words="a whole number above 0, such as 50000000")] = 20_000_000
     """Meshes and point clouds with more vertices are refused. So are files that are too long for that
     many."""
 

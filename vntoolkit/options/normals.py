@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Annotated, Literal, TypeAlias
 
-from vntoolkit.options.base import POSITIVE, Limit, Named, Options, named
+from vntoolkit.options.base import Limit, Named, Options, named, positive
 
 
 class ClippedPixels(Enum):
@@ -18,7 +18,7 @@ class ClippedPixels(Enum):
 class InversionOptions(Options):
     """How colours become normals."""
 
-    relative_albedo: Annotated[float, POSITIVE] = 1.0
+    relative_albedo: Annotated[float, positive()] = 1.0
     """Expected length of M⁻¹(r − a), the surface's albedo over the calibration material's (1 if it is the
     same material; `relative_albedo_from_frame` measures it)."""
     darkest: Annotated[float, Limit("a share between 0 and 1", lambda share: 0 < share < 1)] = 0.05

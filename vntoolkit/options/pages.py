@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Annotated, Literal, TypeAlias
 
-from vntoolkit.options.base import POSITIVE, Options, at_least, within
+from vntoolkit.options.base import Options, positive, within
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,9 +21,9 @@ class ViewerOptions(Options):
 class ScenePageOptions(Options):
     """How much of a reconstruction goes into an offline page."""
 
-    vertices: Annotated[int, at_least(4)] = 12_000
+    vertices: Annotated[int, within(4)] = 12_000
     """Most vertices of a frame's mesh on the page of --html; finer ones are thinned."""
-    most_frames: Annotated[int, at_least(1)] = 150
+    most_frames: Annotated[int, within(1)] = 150
     """Most frames on that page, evenly spread over the sequence. With 12,000 vertices and four pictures of
     640 pixels, a frame takes about 0.3 MB."""
 
@@ -32,7 +32,7 @@ class ScenePageOptions(Options):
 class ReportOptions(Options):
     """What the report shows."""
 
-    samples: Annotated[int, at_least(1)] = 4
+    samples: Annotated[int, within(1)] = 4
     """Frames shown as pictures, evenly spread."""
     footage: str = ""
     """Where the footage is now, if not where it was when it was reconstructed."""
@@ -42,12 +42,12 @@ class ReportOptions(Options):
 class CameraOptions(Options):
     """What is asked of a camera, which gives the nearest that it can."""
 
-    width: Annotated[int, at_least(1)] = 1280
+    width: Annotated[int, within(1)] = 1280
     """Width in pixels of the picture that the camera is asked for; after crop and rectification it must be
     the rig's. Not for a video, which has its own."""
-    height: Annotated[int, at_least(1)] = 720
+    height: Annotated[int, within(1)] = 720
     """The same for the height."""
-    rate: Annotated[float, POSITIVE] = 30.0
+    rate: Annotated[float, positive()] = 30.0
     """Frames per second that the camera is asked for. A video plays at its own rate with --realtime, else as
     fast as it can be read."""
 

@@ -5,7 +5,7 @@ from enum import Enum
 from typing import Annotated, Literal
 
 from vntoolkit.errors import BadInput
-from vntoolkit.options.base import Named, Options, at_least, named, positive, within
+from vntoolkit.options.base import Named, Options, named, positive, within
 from vntoolkit.options.depth import IntegrationOptions, MeshOptions
 from vntoolkit.options.normals import InversionOptions, ShadowMethod, ShadowMethodName
 
@@ -53,7 +53,7 @@ class ReconstructOptions(Options):
     shadows: Named[ShadowMethod, ShadowMethodName] = named(ShadowMethod.ROBUST)
     """Method that finds where the subject shadows itself: robust, published (the paper's detector) or none.
     The surface in shadow is then recovered, and visibility labels are written."""
-    reference_frame: Annotated[int | None, at_least(0, "a frame number")] = None
+    reference_frame: Annotated[int | None, within(0, words="a frame number")] = None
     """The constant that normals leave free in depth is tied to this frame. Noise and the blur of materials'
     seams are measured in it. Default: the first of all frames that were asked for."""
     smoothing: Annotated[float, within(0, 1, "a share of full scale from 0 to 1")] = 0.0

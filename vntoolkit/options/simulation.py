@@ -5,7 +5,7 @@ from enum import Enum
 from typing import Annotated, Literal, TypeAlias
 
 from vntoolkit.errors import BadInput
-from vntoolkit.options.base import Named, Options, at_least, named, one_of, within
+from vntoolkit.options.base import Limit, Named, Options, named, within
 from vntoolkit.photometry.transfer import Transfer
 
 
@@ -28,9 +28,9 @@ LightingName: TypeAlias = Literal["coloured", "red", "green", "blue", "white-1",
 class SceneOptions(Options):
     """Options of every scene."""
 
-    width: Annotated[int, at_least(16)] = 640
+    width: Annotated[int, within(16)] = 640
     """Image size in pixels."""
-    height: Annotated[int, at_least(16)] = 480
+    height: Annotated[int, within(16)] = 480
     """Image size in pixels."""
     seed: int = 0
     """Seed of the scene's own randomness (motion, texture)."""
@@ -47,7 +47,7 @@ class SceneOptions(Options):
 class RenderOptions(Options):
     """How a frame is rendered."""
 
-    samples: Annotated[int, one_of(1, 5, 9)] = 5
+    samples: Annotated[int, Limit("1, 5 or 9 per pixel", lambda value: value in (1, 5, 9))] = 5
     """Rays per pixel: 1, 5 or 9."""
     threads: int = 0
     """For ray casting, 0 = all cores."""
@@ -87,7 +87,7 @@ class Nuisances(Options):
     """Light above full scale is lost. It matters without quantisation only, since integers clip."""
     quantisation: bool = True
     """Samples are rounded to integers. Off: the file has 16 bits."""
-    bits: Annotated[int, one_of(*STORED_BITS)] = 8
+    bits: Annotated[int, Limit("one of 8, 10, 12, 16", lambda value: value in STORED_BITS)] = 8
     """8, 10, 12 or 16 per sample."""
     transfer: str = "linear"
     """Curve of the stored values, linear, srgb, bt709 or gamma:G."""

@@ -5,7 +5,7 @@ from enum import Enum
 from pathlib import Path
 from typing import Annotated, Literal, TypeAlias
 
-from vntoolkit.options.base import POSITIVE, File, Named, OptionalFile, Options, named
+from vntoolkit.options.base import File, Named, OptionalFile, Options, named, positive
 from vntoolkit.options.footage import ReadingLimits
 from vntoolkit.options.shared import MovedFootageOptions
 
@@ -52,7 +52,7 @@ class TrackArguments(MovedFootageOptions, TrackingOptions, ReadingLimits):
     --seams, and on a tactile gel, the first. It is tracked forwards and backwards."""
     out: OptionalFile = named(None)
     """The folder to write; default FOLDER/track."""
-    lost_px: Annotated[float, POSITIVE] = LOST_PX
+    lost_px: Annotated[float, positive()] = LOST_PX
     """A vertex is called lost where its expected error is above this, in pixels."""
     background: OptionalFile = named(None)
     """The background image that the reconstruction subtracted, for the colours of the texture."""
