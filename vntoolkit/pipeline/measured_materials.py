@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from vntoolkit.arrays import FloatArray, Mask, MaterialLabels, Vector3
+from vntoolkit.arrays import Mask, MaterialLabels, Vector3
 from vntoolkit.errors import BadInput
 from vntoolkit.io.results.manifest import MaterialEntry
 from vntoolkit.materials.grey_paint import CLEAR, nats_over_grey, weighed_against_grey
@@ -24,7 +24,6 @@ from vntoolkit.materials.search import (
 from vntoolkit.options.reconstruction import MaterialSearch, ReconstructOptions
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.levelling import leveller_of
-from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline.frame_processor import FrameProcessor
 from vntoolkit.pipeline.request import Footage
@@ -87,7 +86,12 @@ def measured_materials(
     searched = searched_frames(levelled, subjects, central)
     found = _better_than_grey(find_materials(searched, count), searched, count)
     if found:
-        seen = LabelledFrame.by(found, levelled[0], subjects[0], central)
+        values = np.array([each.reflectance.values for each in found])
+        labeller = MaterialLabeller(response=central, reflectances=values)
+        labels, state = labeller.labels(levelled[0], subjects[0], LabelState())
+        seen = LabelledFrame(
+            frame=levelled[0], mask=subjects[0], labeller=labeller, labels=labels, state=state
+        )
         found = _known_apart(found, choice)
         found, pigments = _with_pigments(found, seen)
         found = _explaining(found, pigments, seen, choice)
@@ -187,43 +191,14 @@ class LabelledFrame:
     labels: MaterialLabels
     state: LabelState
 
-    @classmethod
-    def by(
-        cls, found: list[Material], frame: LinearFrame, mask: Mask, response: LightResponse
-    ) -> "LabelledFrame":
-        """Label a frame."""
-        values = np.array([each.reflectance.values for each in found])
-        labeller = MaterialLabeller(response=response, reflectances=values)
-        labels, state = labeller.labels(frame, mask, LabelState())
-        return cls(frame=frame, mask=mask, labeller=labeller, labels=labels, state=state)
-
-    @property
-    def response(self) -> LightResponse:
-        """Of the rig."""
-        return self.labeller.response
-
-    def pigments(self) -> list[tuple[Vector3, Vector3] | None]:
-        """Return for each material the line along which it changes and log ρ, or None."""
-        return self.labeller.pigments_of(self.frame, self.mask, self.labels, self.state)
-
-    def relit(self, found: list[Material], pigments: list[Vector3 | None]) -> FloatArray:
-        """Return the colours (n, 3) of some sound pixels as they would be in the rig's material.
-
-        found: the materials again, with their pigments: lines (3,) along which they change, None for none.
-        """
-        values = np.array([each.reflectance.values for each in found])
-        along = np.array([np.zeros(3) if each is None else each for each in pigments])
-        rgb = relit(self.frame, self.response, self.labels, values, along, self.state.seams, self.mask).rgb
-        sound = np.flatnonzero(self.mask & ~self.frame.clipped)
-        return rgb.reshape(-1, 3)[sound[:: max(1, len(sound) // JUDGED)]].astype(np.float64)
-
 
 def _with_pigments(found: list[Material], seen: LabelledFrame) -> tuple[list[Material], list[Vector3 | None]]:
     """Return the materials, and the line (3,) along which each changes, None where it hardly does."""
     if not found:
         return [], []
     materials, pigments = [], []
-    for each, pigment in zip(found, seen.pigments(), strict=True):
+    told = seen.labeller.pigments_of(seen.frame, seen.mask, seen.labels, seen.state)
+    for each, pigment in zip(found, told, strict=True):
         values = each.reflectance.values if pigment is None else np.exp(pigment[1])
         materials.append(replace(each, reflectance=replace(each.reflectance, values=values)))
         pigments.append(None if pigment is None else pigment[0])
@@ -239,7 +214,12 @@ def _explaining(
     """Return the materials; warn where they leave much of a frame unexplained, and return none where most."""
     if not found:
         return found
-    response, rgb = seen.response, seen.relit(found, pigments)
+    response = seen.labeller.response
+    values = np.array([each.reflectance.values for each in found])
+    along = np.array([np.zeros(3) if each is None else each for each in pigments])
+    alike = relit(seen.frame, response, seen.labels, values, along, seen.state.seams, seen.mask)
+    sound = np.flatnonzero(seen.mask & ~seen.frame.clipped)
+    rgb = alike.rgb.reshape(-1, 3)[sound[:: max(1, len(sound) // JUDGED)]].astype(np.float64)
     lamps = rgb @ response.contributions_from_rgb.T
     lit = (lamps > LIT_SHARE * lamps.max(axis=1, keepdims=True)).all(axis=1)
     length = np.linalg.norm((rgb[lit] - response.ambient) @ response.inverse.T, axis=1)
