@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from vntoolkit.materials.labelling import FrameStatistics
 
 logger = logging.getLogger(__name__)
+_OF_LAMPS = ("light_colours", "light_doubts_deg")  # what shadows tell
 _DIGITS_OF_NEARNESS = 4
 _DIGITS_OF_BLUR = 2
 _SEAM_PX = 2  # to either side of a seam, where pixels are not judged: blur mixes two materials in them
@@ -48,7 +49,8 @@ def prepare(request: Request, footage: Footage, numbers: Sequence[int]) -> Known
     from vntoolkit.pipeline.rig_material import measured_brightness
 
     rig, lamps_in_words = _with_found_lamps(request, footage, numbers)
-    found |= {} if rig is request.rig else _lamps_found(rig)
+    if rig is not request.rig:
+        found |= {name: np.asarray(getattr(rig.response, name)).tolist() for name in _OF_LAMPS}
     found["relative_albedo"], warn_of_other = measured_brightness(rig, options, footage, numbers)
     seeks, seen = seeks_materials(rig, options), None
     if seeks:
@@ -76,14 +78,6 @@ def _known(found: dict[str, object], steps: Sequence[Finding], examined: "Examin
     blur_px = round(examined.blur_px, _DIGITS_OF_BLUR)
     findings = [finding.entry for finding in (*steps, *examined.findings)]
     return Known.model_validate(found | {"blur_px": blur_px, "findings": findings})
-
-
-def _lamps_found(rig: Rig) -> dict[str, object]:
-    """Return what shadows told of the lamps, as `Known` holds it."""
-    colours, doubts_deg = rig.response.light_colours, rig.response.light_doubts_deg
-    assert colours is not None
-    assert doubts_deg is not None
-    return {"light_colours": colours.tolist(), "light_doubts_deg": doubts_deg.tolist()}
 
 
 def _surveyed(
