@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from vntoolkit.arrays import BoolArray, Box, Colours, FloatArray, LinearImage, Mask, MaterialLabels, box_of
+from vntoolkit.arrays import BoolArray, Colours, FloatArray, LinearImage, Mask, MaterialLabels, box_of
 from vntoolkit.checks import require_shape
 from vntoolkit.errors import BadInput, NoSubject
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
@@ -229,12 +229,14 @@ class FrameProcessor:
         least = self._options.inversion.darkest * usual
         return albedo_in_blocks(frame, self._rig.transfer, self._central, least, self._background, mask)
 
-    def by_strength(self, linear: LinearFrame, box: Box | None = None) -> LinearFrame:
+    def by_strength(self, linear: LinearFrame, mask: Mask | None = None) -> LinearFrame:
         """Return a linear frame with every lamp as strong as at the image's centre.
 
-        box: rows and columns that count; beyond them all is 0. None for all.
+        mask: (h, w), beyond whose box all is 0; None for all.
         """
-        return linear if self._leveller is None else self._leveller.frame_by_strength(linear, box)
+        if self._leveller is None:
+            return linear
+        return self._leveller.frame_by_strength(linear, None if mask is None else box_of(mask))
 
     def lit_subject(self, linear: LinearFrame, mask: Mask | None = None, albedo: float | None = None) -> Mask:
         """Return (h, w), the pixels of interest without the backdrop, whose noise is like dark paint.
@@ -269,7 +271,7 @@ class FrameProcessor:
         if self._leveller is not None and (self._shadows is not None or self._with_errors):
             level = self._leveller.frame(linear, box_of(mask))
         if self._shadows is not None:
-            by_strength = self.by_strength(linear, None if self._leveller is None else box_of(mask))
+            by_strength = self.by_strength(linear, mask)
             normal_map, labels, lamps = self._shadows.normals(level, by_strength, mask)
         else:
             normal_map = normals_from_frame(linear, self._rig.response, mask, options=self._options.inversion)
@@ -289,8 +291,7 @@ class FrameProcessor:
         assert self._shadows is not None
         linear, mask = self.linear(frame), self._mask_of(matte)
         level = linear if self._leveller is None else self._leveller.frame(linear)
-        by_strength = self.by_strength(linear, None if self._leveller is None else box_of(mask))
-        return self._shadows.unlit_by_lamp(level, by_strength, mask)
+        return self._shadows.unlit_by_lamp(level, self.by_strength(linear, mask), mask)
 
     # Normals → depth → mesh. Frames come in order.
 
