@@ -154,7 +154,9 @@ def test_a_joint_that_leads_nowhere_is_no_arm_to_aim(jumper: Mesh, tips: int) ->
     motion = replace(walk, skeleton=marked, rotations=np.concatenate([walk.rotations, still], axis=1))
     cloth = MeshSequence(template=jumper, vertices=np.array(jumper.vertices)[None])
     dressed, expected = dress(cloth, motion), dress(cloth, walk)
-    np.testing.assert_allclose(dressed.fitting.rest_from_model[:number], expected.rest_from_model, atol=1e-12)
+    np.testing.assert_allclose(
+        dressed.fitting.rest_from_model[:number], expected.fitting.rest_from_model, atol=1e-12
+    )
     assert np.isfinite(dressed.frame(0)).all()
 
 
