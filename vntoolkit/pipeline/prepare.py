@@ -54,24 +54,19 @@ def prepare(request: Request, footage: Footage, numbers: Sequence[int]) -> Known
     found["relative_albedo"], warn_of_other = measured_brightness(rig, options, footage, numbers)
     seeks, seen = seeks_materials(rig, options), None
     if seeks:
-        from vntoolkit.pipeline.measured_materials import measured_materials, refitted_materials
+        from vntoolkit.pipeline.measured_materials import measured_materials
 
         materials, seen = measured_materials(rig, options, footage, numbers)
         found["materials"] = materials
     if seen is None:
         warn_of_other(lamps_in_words)
     else:
-        examined = _examined(request, rig, footage, numbers, materials, seen.state.statistics)
+        examined = _examined(request, rig, footage, numbers, materials, seen)
     if seeks:
         _judge(request, examined)
     if rig.response.variation is None:
         found["nearness"] = round(examined.nearness, _DIGITS_OF_NEARNESS)
-    known = _known(found, steps, examined)
-    near = known.with_rig(request.rig)
-    if seen is None or near.response.variation is None:
-        return known
-    again = refitted_materials(near, options, known.materials, footage, numbers, seen)
-    return known.model_copy(update={"materials": again})
+    return _known(found, steps, examined)
 
 
 def _known(found: dict[str, object], steps: Sequence[Finding], examined: "Examination") -> Known:
