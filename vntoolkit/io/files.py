@@ -10,12 +10,16 @@ import json
 import os
 import stat
 import threading
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from io import BufferedReader
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from vntoolkit.arrays import FloatArray
 from vntoolkit.errors import BadCapture, BadInput, BadMesh
 from vntoolkit.options.footage import ReadingLimits
 from vntoolkit.photometry.rig import SourceFile
@@ -92,6 +96,17 @@ def text_lines(path: Path | str, error: type[BadInput] = BadInput) -> Iterator[s
             if len(line) == _LONGEST_LINE or b"\0" in line:
                 raise error(f"{path}: line {number} is no line of text")
             yield line.decode("utf-8-sig" if number == 1 else "utf-8", "replace").rstrip("\r\n")
+
+
+def numbers_of_text(text: str | bytes) -> FloatArray:
+    """Return the numbers of a text, between white space; raise `ValueError` where a word is none."""
+    if not text.strip():
+        return np.empty(0)
+    with warnings.catch_warnings(action="error", category=DeprecationWarning):  # NumPy's for such a word
+        try:
+            return np.fromstring(text, sep=" ")
+        except DeprecationWarning as problem:
+            raise ValueError("a word is no number") from problem
 
 
 def require_name(name: str, source: Path | str) -> str:
