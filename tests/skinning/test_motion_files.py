@@ -41,7 +41,7 @@ def test_small_bvh_reads_as_written(tmp_path: Path) -> None:
 GOOD_BVH = {
     "wrapped lines": BVH.replace("90 0 0\n", "90\n0\n0\n"),
     "one line": " ".join(BVH.split()),
-    "one line, longer than is read at once": " " * 4077 + " ".join(BVH.split()),  # it ends within a word
+    "numbers that go on beyond what is read first": " " * ((1 << 20) - 300) + BVH,
     "small letters": BVH.replace("MOTION", "Motion").replace("End Site", "end site"),
     "a blank before the colon": BVH.replace("Frames:", "Frames :").replace("Time:", "time :"),
     "decimal commas": BVH.replace("0.01", "0,01").replace("1 2 3", "1,0 2 3,0"),
@@ -83,7 +83,7 @@ REFUSALS = [
     ("bvh", b"\x00\xff\xfe" * 50, "line 1: expected HIERARCHY"),
     ("bvh", BVH[:150], "line 9: expected ROOT, JOINT, End Site, OFFSET, CHANNELS or }, got 'C'"),
     ("bvh", BVH[:140], "no MOTION section"),
-    ("bvh", BVH[: BVH.index("1 2 3")], "expected 2 frames of 9 numbers, got none"),
+    ("bvh", BVH[: BVH.index("1 2 3")], "expected 2 frames of 9 numbers, got 0 numbers"),
     ("bvh", BVH.rstrip()[:-6], "2 frames of 9 numbers, got 15 numbers, 1.667 frames"),
     ("bvh", ("1 2 3 0 0 0 0 0 90\n", ""), "expected 2 frames of 9 numbers, got 9 numbers"),
     ("bvh", BVH.replace(" 90 0 0\n", "\n").replace(" 0 0 90\n", "\n"), "got 12 numbers, 1.333 frames"),
@@ -98,7 +98,7 @@ REFUSALS = [
     ("bvh", ("90 0 0", "90,5 0.5 0"), "both commas and points"),
     ("bvh", ("JOINT Chest", "JOINT Hips"), r"line 7: joint 'Hips' occurs twice or has no name \(a cycle\?\)"),
     ("bvh", ("JOINT Chest", "JOINT"), "has no name"),
-    ("bvh", ("ROOT Hips", f"ROOT {'x' * 9000}"), "the name of a joint has 4096 characters"),
+    ("bvh", BVH.replace("ROOT Hips", f"ROOT {'x' * 2_000_000}"), "no MOTION section"),
     ("bvh", ("    OFFSET 0 1 0\n    CHANNELS 3", "    CHANNELS 3"), "joint 'Chest' has no OFFSET"),
     ("bvh", ("}\nMOTION", "MOTION"), "1 unmatched braces in the hierarchy"),
     ("bvh", ("ROOT", "BONE"), "line 2: expected ROOT, .* got 'BONE'"),
