@@ -204,7 +204,7 @@ def try_video() -> None:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "noise.mkv"
         write_video(path, list(frames), 25)
-        found = np.stack([values for _, values in VideoReader(path).frames()])
+        found = np.stack([frame.values for frame in VideoReader(path).frames()])
     if not np.array_equal(found, frames):
         raise BadCapture("a lossless video came back with other values than were written")
 
