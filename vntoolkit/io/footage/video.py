@@ -26,7 +26,7 @@ from vntoolkit.io.footage import pixel_formats
 from vntoolkit.io.footage.captures import CaptureInfo, CaptureOptions
 from vntoolkit.io.footage.decoding import EncodedFrame
 from vntoolkit.io.footage.luma_detail import LumaDetail
-from vntoolkit.io.footage.orientation import UPRIGHT, Orientation
+from vntoolkit.io.footage.orientation import Orientation
 from vntoolkit.io.footage.sequence import CaptureKind
 from vntoolkit.io.footage.stated import TRANSFER_NAMES, Stated, require_heeded, require_opaque
 from vntoolkit.io.footage.video_index import VideoIndex, av_errors, index_of_stream
@@ -163,7 +163,11 @@ class VideoReader:
             frame = next(frame for packet in chain([first], packets) for frame in packet.decode())
             is_png = self._codec in ("png", "apng")
             said = _said_beside_png(frame, context, first) if is_png else _said_beside(frame)
-        turn = Orientation.from_display_matrix(said["DISPLAYMATRIX"]) if "DISPLAYMATRIX" in said else UPRIGHT
+        turn = (
+            Orientation.from_display_matrix(said["DISPLAYMATRIX"])
+            if "DISPLAYMATRIX" in said
+            else Orientation.UPRIGHT
+        )
         if turn is None:
             raise BadCapture(
                 f"{self.path}: is to be shown turned by {frame.rotation}°, expected 0, 90, 180 or 270; turn "
@@ -309,11 +313,13 @@ class VideoReader:
             if self._format.has_alpha:
                 alpha = frame.reformat(format="rgba").to_ndarray()[..., 3]
                 require_opaque(alpha, f"{self.path}, frame {number}")
-            how: dict[str, bool] = {"hd": height >= _HD_HEIGHT, "takes_codes": self._takes_codes}
-            if self._detail is not None:
-                rgb = pixel_formats.rgb_with_luma_detail(frame, self._format, self._detail, **how)
-            else:
-                rgb = pixel_formats.rgb_from_video_frame(frame, self._format, **how)
+            rgb = pixel_formats.rgb_from_video_frame(
+                frame,
+                self._format,
+                hd=height >= _HD_HEIGHT,
+                takes_codes=self._takes_codes,
+                detail=self._detail,
+            )
             return self._stated.orientation.upright(rgb)
         except av_errors() as error:
             raise self._damaged(number, f"its colours cannot be converted ({reason_of(error)})") from error
