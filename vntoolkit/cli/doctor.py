@@ -216,8 +216,8 @@ def _stated_and_done(report: CaptureReport) -> list[tuple[str, str, str]]:
     if info.stated_transfer not in ("", curve):
         done += ", as --transfer or the rig says"
     rows = [("transfer curve", info.stated_transfer or "nothing", done)]
-    if info.conversion.taken:
-        rows.append(("YUV matrix", info.conversion.stated, f"converted by {info.conversion.taken}"))
+    if info.taken_yuv:
+        rows.append(("YUV matrix", info.stated_yuv, f"converted by {info.taken_yuv}"))
     if info.chroma == "Bayer":
         rows.append(("mosaic", info.pixel_format, "demosaiced, without white balance or camera matrix"))
     turned = ("turned", f"{info.orientation}; the rig's size is the upright picture's")

@@ -3,7 +3,6 @@
 from pathlib import Path
 
 import av
-import cv2
 import numpy as np
 import pytest
 

@@ -1,6 +1,6 @@
 """Captures: a video, an image, a folder of images or a pattern, read as linear colour frames."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
@@ -11,7 +11,7 @@ from vntoolkit.arrays import LinearImage
 from vntoolkit.checks import require_positive, require_shape
 from vntoolkit.display import Displayed, Facts, Picture
 from vntoolkit.errors import BadCapture, BadInput
-from vntoolkit.io.footage.decoding import EncodedFrame, YuvConversion, linear_frame_from_encoded
+from vntoolkit.io.footage.decoding import EncodedFrame, linear_frame_from_encoded
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.footage.sequence import (
     CaptureFiles,
@@ -60,26 +60,22 @@ class CaptureOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
-class CaptureInfo:
-    """What a capture holds.
+class CaptureInfo(CaptureFiles):
+    """What a capture holds, beside its files.
 
     width, height: pixels. frame_count: frames that can be read, and gaps in an image sequence. frame_rate_hz:
-    per second, None for stills. pixel_format:
-    FFmpeg's name, or such as `PNG 16-bit`. bits: significant bits of an integer sample (32: float). codec:
-    of the video, or the image format. chroma: `4:4:4`, `4:2:2`, `4:2:0`, `grey`, `Bayer`. files: all of it.
-    numbers: of the frame that each file of a sequence is. missing: names of missing files by frame number.
-    stated: number in the name of each file of a sequence, where it counts frames; else empty. left_out:
-    images of the folder that are no frames. promised_frame_count: what the header declares; more
-    than frame_count means that the video is cut off. stated_transfer: the curve that the file states, as
-    `Transfer` reads it where it can be undone; empty for none. conversion: of YUV to RGB. orientation: what
-    was done to turn the frames upright, empty for nothing; width and height are those of the upright picture.
-    times_s: when each frame of a video of varying rate is shown, seconds from the first; empty for an even
-    rate. unusable_times: what is wrong with the times that a video states, empty for nothing.
-    stated_focal_px: focal length that a photograph states, as that of a picture of 24×36 mm with the same
-    diagonal; None for none.
+    per second, None for stills. pixel_format: FFmpeg's name, or such as `PNG 16-bit`. bits: significant bits
+    of an integer sample (32: float). codec: of the video, or the image format. chroma: `4:4:4`, `4:2:2`,
+    `4:2:0`, `grey`, `Bayer`. promised_frame_count: what the header declares; more than frame_count means that
+    the video is cut off. stated_transfer: the curve that the file states, as `Transfer` reads it where it can
+    be undone; empty for none. stated_yuv, taken_yuv: matrix and range, as the file states them and as they
+    are taken; empty for no YUV. orientation: what was done to turn the frames upright, empty for nothing;
+    width and height are those of the upright picture. times_s: when each frame of a video of varying rate is
+    shown, seconds from the first; empty for an even rate. unusable_times: what is wrong with the times that a
+    video states, empty for nothing. stated_focal_px: focal length that a photograph states, as that of a
+    picture of 24×36 mm with the same diagonal; None for none.
     """
 
-    kind: CaptureKind
     width: int
     height: int
     frame_count: int
@@ -88,17 +84,13 @@ class CaptureInfo:
     bits: int
     codec: str
     chroma: str
-    files: tuple[Path, ...]
     promised_frame_count: int
     stated_transfer: str = ""
-    conversion: YuvConversion = field(default_factory=YuvConversion)
+    stated_yuv: str = ""
+    taken_yuv: str = ""
     orientation: str = ""
     times_s: tuple[float, ...] = ()
     unusable_times: str = ""
-    numbers: tuple[int, ...] = ()
-    missing: Mapping[int, str] = field(default_factory=dict)
-    left_out: tuple[Path, ...] = ()
-    stated: tuple[int, ...] = ()
     stated_focal_px: float | None = None
 
 

@@ -30,7 +30,7 @@ class ImageReader:
         height, width = first.colours.shape[:2]
         grey = "Bayer" if options.sensor.bayer or header.bayer else "grey"
         return CaptureInfo(
-            kind=found.kind,
+            **vars(found),
             width=width,
             height=height,
             frame_count=found.numbers[-1] + 1,
@@ -39,15 +39,10 @@ class ImageReader:
             bits=self._bits(first.colours, found.files[0]),
             codec=header.format if header.saturation is None else "raw",
             chroma=grey if header.channels < 3 else header.chroma,
-            files=found.files,
             promised_frame_count=found.numbers[-1] + 1,
             stated_transfer=header.stated.transfer,
             stated_focal_px=header.stated.focal_px,
             orientation=header.stated.orientation.text,
-            numbers=found.numbers,
-            missing=found.missing,
-            left_out=found.left_out,
-            stated=found.stated,
         )
 
     def nearest_key_frame(self, number: int) -> int:

@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 
 from vntoolkit.arrays import Array, Matrix3, Vector3
-from vntoolkit.io.footage.decoding import YuvConversion
 from vntoolkit.io.footage.luma_detail import LumaDetail
 from vntoolkit.native import njit
 from vntoolkit.options.footage import Bayer
@@ -87,17 +86,17 @@ class PixelFormat:
         return self.name.startswith("gbrp") and self.name.endswith("le")
 
 
-def yuv_conversion(context: Any, pixel_format: PixelFormat, *, hd: bool) -> YuvConversion:
-    """Return how the colours of an opened stream are converted."""
+def yuv_conversion(context: Any, pixel_format: PixelFormat, *, hd: bool) -> tuple[str, str]:
+    """Return matrix and range of an opened stream, as it states them and as they are taken."""
     if pixel_format.is_rgb or pixel_format.is_grey:
-        return YuvConversion()
+        return "", ""
     matrix, stated_range = int(context.colorspace), int(context.color_range)
     is_full = stated_range == _FULL_RANGE or pixel_format.name.startswith("yuvj")
     span = "full" if is_full else "limited"
     name = _MATRICES[matrix][0] if matrix in _MATRICES else ""
     text = ", ".join(filter(None, (name, f"{span} range" if stated_range or is_full else "")))
     taken = name or ("BT.709" if hd else "BT.601")
-    return YuvConversion(stated=text or "nothing", taken=f"{taken}, {span} range")
+    return text or "nothing", f"{taken}, {span} range"
 
 
 def unread_colours(context: Any, pixel_format: PixelFormat) -> str:

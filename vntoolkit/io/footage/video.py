@@ -75,7 +75,7 @@ class VideoReader:
             self._codec = str(context.codec.name)
             self._format = pixel_formats.PixelFormat.from_av(context.format)
             hd = int(context.height) >= _HD_HEIGHT
-            self._conversion = pixel_formats.yuv_conversion(context, self._format, hd=hd)
+            self._stated_yuv, self._taken_yuv = pixel_formats.yuv_conversion(context, self._format, hd=hd)
             self._bayer = self._pattern(options.sensor.bayer)
             takes_codes = options.transfer is not None and options.transfer.takes_codes
             self._takes_codes = takes_codes and not (self._format.is_rgb or self._format.is_grey)
@@ -114,7 +114,8 @@ class VideoReader:
             files=(self.path,),
             promised_frame_count=self.index.promised,
             stated_transfer=self._stated.transfer,
-            conversion=self._conversion,
+            stated_yuv=self._stated_yuv,
+            taken_yuv=self._taken_yuv,
             orientation=self._stated.orientation.text,
             times_s=uneven_s,
             unusable_times=unusable,
