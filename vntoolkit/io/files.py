@@ -143,6 +143,11 @@ def source_file(path: Path | str) -> SourceFile:
     return SourceFile(file=Path(path).name, sha256=sha256_of_file(path))
 
 
+def read_json(path: Path | str, error: type[BadInput] = BadInput, expected: str = "a JSON file") -> Any:
+    """Read a JSON file; raise `error` as `read_text` and `parse_json` do."""
+    return parse_json(read_text(path, error, expected), str(path), error, expected)
+
+
 def parse_json(text: str, name: str, error: type[BadInput] = BadInput, expected: str = "a JSON file") -> Any:
     """Return the content of a JSON text; raise `error` if it is invalid or nested too deeply.
 

@@ -219,12 +219,10 @@ def _blocks(lines: list[list[str]]) -> Iterator[dict[str, list[str]]]:
     """Yield each `begin … end` block as {keyword: values}; the brackets of `limits` are not needed."""
     block: dict[str, list[str]] | None = None
     for words in lines:
-        if words[0] == "begin":
-            if block is not None:
-                raise BadMotion("a bone begins inside another one")
+        if (words[0] == "begin") == (block is not None):
+            raise BadMotion(f"expected {'begin' if block is None else 'end'} of a bone, got {words[0]!r}")
+        if block is None:
             block = {}
-        elif block is None:
-            raise BadMotion(f"expected begin, got {words[0]!r}")
         elif words[0] == "end":
             yield block
             block = None

@@ -11,7 +11,7 @@ from vntoolkit.errors import BadInput
 from vntoolkit.geometry.garment_fit import GarmentFit, Landmark
 from vntoolkit.geometry.rigid import RigidTransform
 from vntoolkit.io.conventions import graphics_from_camera
-from vntoolkit.io.files import parse_json, read_text
+from vntoolkit.io.files import read_json
 from vntoolkit.io.rigs import Entry, one_line_from_validation
 
 _Triple = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
@@ -37,7 +37,7 @@ class _Fit(Entry):
 
 def read_garment_fit(path: Path | str) -> GarmentFit:
     """Read a fit file into camera axes; angles turn about x, then y, then z. Raises `BadInput`."""
-    content = parse_json(read_text(path, expected=_EXPECTED), str(path), expected=_EXPECTED)
+    content = read_json(path, expected=_EXPECTED)
     try:
         fit = _Fit.model_validate(content)
     except ValidationError as error:

@@ -4,7 +4,6 @@ The messages are sensor_msgs/msg/Image and CompressedImage of ROS 2. They are co
 log times, which are kept.
 """
 
-import os
 from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
@@ -22,8 +21,6 @@ from vntoolkit.libraries import require_installed
 
 _SCHEMAS = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 _NS = 1_000_000_000
-_MAGIC = b"\x89MCAP0\r\n"  # the first and the last bytes of a recording
-_RECOVER = "run `mcap recover FILE -o WHOLE.mcap`, and give what it writes"
 
 
 class RecordingReader:
@@ -32,7 +29,6 @@ class RecordingReader:
     def __init__(self, path: Path, topic: str, options: CaptureOptions) -> None:
         require_installed("mcap_ros2", "'vntoolkit[mcap]'", "MCAP recordings are read by mcap-ros2-support")
         self.path = require_file(path, BadCapture)
-        _require_whole(self.path)
         self._options = options
         self.topic = self._camera_topic(topic)
         first = next(self._messages(0), None)
@@ -150,22 +146,6 @@ class RecordingReader:
     def _damaged(self, reason: object) -> BadCapture:
         why = " ".join(str(reason).split()) or type(reason).__name__
         return BadCapture(
-            f"{self.path}: is damaged between its beginning and its end ({why:.80}); {_RECOVER}"
-        )
-
-
-def _require_whole(path: Path) -> None:
-    """Raise `BadCapture` for a file that is no recording, and for one that was cut off."""
-    with path.open("rb") as stream:
-        first, size = stream.read(len(_MAGIC)), stream.seek(0, os.SEEK_END)
-        stream.seek(max(size - len(_MAGIC), 0))
-        last = stream.read()
-    if first != _MAGIC:
-        raise BadCapture(
-            f"{path}: expected an MCAP recording, got a file whose first bytes are not those of one; give "
-            "the file that the recorder wrote, or copy it again"
-        )
-    if last != _MAGIC or size < 2 * len(_MAGIC):
-        raise BadCapture(
-            f"{path}: ends early, after {size} bytes, without the mark that ends a recording; {_RECOVER}"
+            f"{self.path}: expected a whole MCAP recording, got a damaged one or another file ({why:.80}); "
+            "copy it again, or run `mcap recover FILE -o WHOLE.mcap` and give what it writes"
         )
