@@ -10,16 +10,12 @@ import json
 import os
 import stat
 import threading
-import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from io import BufferedReader
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from vntoolkit.arrays import FloatArray
 from vntoolkit.errors import BadCapture, BadInput, BadMesh
 from vntoolkit.options.footage import ReadingLimits
 from vntoolkit.photometry.rig import SourceFile
@@ -98,17 +94,6 @@ def text_lines(path: Path | str, error: type[BadInput] = BadInput) -> Iterator[s
             yield line.decode("utf-8-sig" if number == 1 else "utf-8", "replace").rstrip("\r\n")
 
 
-def numbers_of_text(text: str | bytes) -> FloatArray:
-    """Return the numbers of a text, between white space; raise `ValueError` where a word is none."""
-    if not text.strip():
-        return np.empty(0)
-    with warnings.catch_warnings(action="error", category=DeprecationWarning):  # NumPy's for such a word
-        try:
-            return np.fromstring(text, sep=" ")
-        except DeprecationWarning as problem:
-            raise ValueError("a word is no number") from problem
-
-
 def require_name(name: str, source: Path | str) -> str:
     """Return a name that is to be a file's or a folder's, or raise where it would be none or lead elsewhere.
 
@@ -162,23 +147,21 @@ def parse_json(text: str, name: str, error: type[BadInput] = BadInput, expected:
         ) from problem
     except RecursionError as problem:
         raise error(f"{name}: its brackets are nested too deeply for any file of this program") from problem
-    except _DuplicateKeyError as problem:
-        raise error(f"{name}: the key {str(problem)[:80]!r} stands there twice; keep one") from problem
+    except KeyError as problem:
+        raise error(
+            f"{name}: the key {str(problem.args[0])[:80]!r} stands there twice; keep one"
+        ) from problem
     except ValueError as problem:  # an integer of thousands of digits
         raise error(
             f"{name}: expected {expected}, but this is not JSON: {str(problem).split(';')[0][:200]}"
         ) from problem
 
 
-class _DuplicateKeyError(ValueError):
-    """A JSON object has a key twice."""
-
-
 def _without_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     found = dict(pairs)
     if len(found) != len(pairs):
         keys = [key for key, _ in pairs]
-        raise _DuplicateKeyError(next(key for key in keys if keys.count(key) > 1))
+        raise KeyError(next(key for key in keys if keys.count(key) > 1))
     return found
 
 

@@ -51,4 +51,5 @@ class Orientation(Enum):
     def upright(self, picture: Array) -> Array:
         """Return an (h, w) or (h, w, c) picture as it was seen; the same array where it is upright."""
         picture = np.swapaxes(picture, 0, 1) if self.transposed else picture
-        return np.ascontiguousarray(picture[:: -1 if self.flipped else 1, :: -1 if self.mirrored else 1])
+        picture = picture[:, ::-1] if self.mirrored else picture
+        return np.ascontiguousarray(picture[::-1] if self.flipped else picture)

@@ -13,7 +13,7 @@ from fractions import Fraction
 from functools import cached_property
 from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -23,14 +23,15 @@ from vntoolkit.errors import BadCapture, CannotWrite
 from vntoolkit.io.atomic import atomic_path
 from vntoolkit.io.files import require_file, require_pixels
 from vntoolkit.io.footage import pixel_formats
-from vntoolkit.io.footage.captures import CaptureInfo, CaptureOptions
 from vntoolkit.io.footage.decoding import EncodedFrame
 from vntoolkit.io.footage.luma_detail import LumaDetail
 from vntoolkit.io.footage.orientation import Orientation
-from vntoolkit.io.footage.sequence import CaptureKind
 from vntoolkit.io.footage.stated import TRANSFER_NAMES, Stated, require_heeded, require_opaque
 from vntoolkit.io.footage.video_index import VideoIndex, av_errors, index_of_stream
 from vntoolkit.options.footage import Bayer, Demosaic
+
+if TYPE_CHECKING:
+    from vntoolkit.io.footage.captures import CaptureInfo, CaptureOptions
 
 _HD_HEIGHT = 720
 _INDICES: dict[tuple[str, int, int], VideoIndex] = {}  # of files by path, size and time of change, in ns
@@ -58,8 +59,10 @@ class VideoReader:
     interlaced video.
     """
 
-    def __init__(self, path: Path | str, options: CaptureOptions | None = None) -> None:
+    def __init__(self, path: Path | str, options: "CaptureOptions | None" = None) -> None:
         self.path = require_file(path, BadCapture)
+        from vntoolkit.io.footage.captures import CaptureOptions  # here: writing needs none of it
+
         self._options = options = options or CaptureOptions()
         # (number of its next frame, decoder); a deque, whose pop gives it to one thread alone
         self._waiting: deque[tuple[int, Iterator[tuple[int | None, Any]]]] = deque(maxlen=1)
@@ -91,8 +94,11 @@ class VideoReader:
             require_heeded(self._stated, str(self.path), "views a frame (stereo)")
 
     @cached_property
-    def info(self) -> CaptureInfo:
+    def info(self) -> "CaptureInfo":
         """What the video holds."""
+        from vntoolkit.io.footage.captures import CaptureInfo
+        from vntoolkit.io.footage.sequence import CaptureKind
+
         width, height = self._stored_size[:: -1 if self._stated.orientation.transposed else 1]
         is_halved = self._bayer is not None and self._options.sensor.demosaic is Demosaic.HALF
         bits = self._format.decoded_bits

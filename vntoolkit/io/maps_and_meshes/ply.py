@@ -12,7 +12,7 @@ from vntoolkit.arrays import Array, Faces, Float32Array, FloatArray
 from vntoolkit.errors import BadMesh
 from vntoolkit.geometry.mesh import Mesh, triangles_from_polygons
 from vntoolkit.io.atomic import aligned_memory, write_large
-from vntoolkit.io.files import numbers_of_text, opened, require_vertices
+from vntoolkit.io.files import opened, require_vertices
 
 _KINDS = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2",
@@ -145,6 +145,8 @@ class _Numbers:
     """The numbers behind a header, taken one after the other. Those of a text are doubles of any kind."""
 
     def __init__(self, data: bytes, at: int, order: str) -> None:
+        from vntoolkit.io.text_numbers import numbers_of_text
+
         self.is_text, self.order = order == "ascii", order
         self.data, self.at = (numbers_of_text(data[at:]).tobytes(), 0) if self.is_text else (data, at)
 

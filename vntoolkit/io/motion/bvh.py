@@ -22,7 +22,7 @@ from vntoolkit.errors import BadMotion
 from vntoolkit.geometry.motion import Motion, Skeleton
 from vntoolkit.io.atomic import atomic_path
 from vntoolkit.io.conventions import motion_with_axes_turned
-from vntoolkit.io.files import numbers_of_text, require_size
+from vntoolkit.io.files import require_size
 
 MAX_MOTION_BYTES = 256 * 2**20  # ten minutes at 120 Hz of 31 joints are 50 MB
 MAX_DEPTH = 256  # of joints one below the other; a figure's fingers are a dozen deep
@@ -232,6 +232,8 @@ def _read_channels(words: _Words) -> list[str]:
 
 def _read_frames(words: _Words, channels: int) -> tuple[FloatArray, float]:
     """Return the values (f, channels) below MOTION, and the time of a frame in seconds."""
+    from vntoolkit.io.text_numbers import numbers_of_text
+
     timing = _TIMING.match(words.text, words.at)
     if timing is None:
         raise words.fault("expected 'Frames: N' and 'Frame Time: SECONDS' after MOTION")
