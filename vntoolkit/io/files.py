@@ -11,7 +11,6 @@ import os
 import stat
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
 from io import BufferedReader
 from pathlib import Path
 from typing import Any
@@ -148,9 +147,7 @@ def parse_json(text: str, name: str, error: type[BadInput] = BadInput, expected:
     except RecursionError as problem:
         raise error(f"{name}: its brackets are nested too deeply for any file of this program") from problem
     except KeyError as problem:
-        raise error(
-            f"{name}: the key {str(problem.args[0])[:80]!r} stands there twice; keep one"
-        ) from problem
+        raise error(f"{name}: the key {problem.args[0][:80]!r} stands there twice; keep one") from problem
     except ValueError as problem:  # an integer of thousands of digits
         raise error(
             f"{name}: expected {expected}, but this is not JSON: {str(problem).split(';')[0][:200]}"
@@ -175,7 +172,7 @@ def reading_limits() -> ReadingLimits:
     return _current[-1]
 
 
-@contextmanager
+@contextlib.contextmanager
 def limited_to(limits: ReadingLimits) -> Iterator[None]:
     """Read within other limits in this block, on all threads of this process."""
     _current.append(limits)
