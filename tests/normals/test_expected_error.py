@@ -7,22 +7,18 @@ import numpy as np
 import pytest
 
 from vntoolkit.errors import BadInput
-from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.io.maps_and_meshes.maps import read_normal_map, write_normal_map
 from vntoolkit.normals.expected_error import (
     errors_of_materials,
-    normals_and_errors_from_encoded,
     with_added_error,
     with_expected_error,
 )
 from vntoolkit.normals.frame_evidence import fit_ellipsoid
-from vntoolkit.normals.inversion import normals_from_encoded, normals_from_frame, rows_of
+from vntoolkit.normals.inversion import normals_from_frame, rows_of
 from vntoolkit.normals.lost_detail import _OF_MANY_WAVES, detail_kernel, lost_over_left, side_of_squares
 from vntoolkit.photometry.frame import LinearFrame
-from vntoolkit.photometry.levelling import Leveller
-from vntoolkit.photometry.response import LightResponse, rgb_from_normals, with_near_lamps
-from vntoolkit.photometry.transfer import Transfer
+from vntoolkit.photometry.response import LightResponse
 
 MATRIX = np.array([[0.5, 0.06, -0.45], [-0.22, 0.4, -0.5], [-0.2, -0.35, -0.42]])
 RESPONSE = LightResponse(matrix=MATRIX, ambient=np.array([0.02, 0.01, 0.03]))
@@ -260,44 +256,6 @@ def test_noise_that_the_normals_do_not_have_is_left_out(rng):
         assert 0.85 < within.mean() < most
         bounds.append(np.median(bound))
     assert bounds[1] < 0.6 * bounds[0]
-
-
-@pytest.mark.parametrize(
-    ("size", "blur_px"), [((240, 240), 0.0), ((37, 91), 0.0), ((240, 240), 1.0), ((37, 91), 2.2)]
-)
-def test_stored_samples_give_the_same_in_one_pass(rng, size, blur_px):
-    light = (colours() + rng.normal(0, 0.01, (240, 240, 3)))[: size[0], : size[1]]
-    stored = np.rint(65535 * np.clip(1.3 * light, 0, 1)).astype(np.uint16)
-    mask = rng.random(size) > 0.05
-    camera = Camera.pinhole(width=size[1], height=size[0], focal_px=300.0)
-    found, clipped = normals_and_errors_from_encoded(
-        stored, RESPONSE, Transfer(), mask, camera=camera, residual_deg=2.0, blur_px=blur_px
-    )
-    plain = normals_from_encoded(stored, RESPONSE, Transfer(), mask)
-    np.testing.assert_allclose(found.normals_in_camera, plain.normals_in_camera, atol=1e-6)
-    np.testing.assert_array_equal(found.mask, plain.mask)
-    frame = LinearFrame(rgb=(stored / 65535).astype(np.float32))
-    assert clipped == pytest.approx(frame.clipped.mean())
-    apart = with_expected_error(plain, frame, RESPONSE, camera=camera, residual_deg=2.0, blur_px=blur_px)
-    for name in ("error_deg", "weight", "noise_deg"):
-        np.testing.assert_allclose(getattr(found, name), getattr(apart, name), rtol=0.02, atol=0.01)
-
-
-def test_m_that_varies_is_read_in_one_pass_too(rng):
-    """Near lamps: the same as where the frame is first made to look as the M of its centre would show it."""
-    response = with_near_lamps(RESPONSE, 0.15, (240, 240))
-    light = rgb_from_normals(waves(), response) + rng.normal(0, 0.01, (240, 240, 3))
-    stored = np.rint(65535 * np.clip(light, 0, 1)).astype(np.uint16)
-    found, _ = normals_and_errors_from_encoded(stored, response, Transfer())
-    plain = normals_from_encoded(stored, response, Transfer())
-    np.testing.assert_allclose(found.normals_in_camera, plain.normals_in_camera, atol=1e-5)
-    np.testing.assert_array_equal(found.mask, plain.mask)
-    rgb = (stored / 65535).astype(np.float32)
-    frame = LinearFrame(rgb=rgb, clipped=(stored == 65535).any(axis=2))
-    level = Leveller(response, frame.shape).frame(frame)
-    apart = with_expected_error(plain, level, RESPONSE)
-    for name in ("error_deg", "weight", "noise_deg"):
-        np.testing.assert_allclose(getattr(found, name), getattr(apart, name), rtol=0.02, atol=0.01)
 
 
 def test_vignetting_is_no_error_of_normals(rng):

@@ -4,16 +4,10 @@ import numpy as np
 import pytest
 
 from vntoolkit.errors import BadInput
-from vntoolkit.normals.inversion import normals_from_encoded, normals_from_frame, relative_albedo_from_frame
+from vntoolkit.normals.inversion import normals_from_frame, relative_albedo_from_frame
 from vntoolkit.options.normals import ClippedPixels, InversionOptions
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse, rgb_from_normals
-from vntoolkit.photometry.transfer import (
-    Transfer,
-    TransferCurve,
-    encoded_from_linear,
-    linear_from_integers,
-)
 
 DIRECTIONS = np.array([[0.6, 0.0, -0.8], [-0.36, 0.48, -0.8], [-0.36, -0.48, -0.8]])
 COLOURS = np.array([[0.5, 0.05, 0.02], [0.06, 0.6, 0.1], [0.0, 0.1, 0.4]])
@@ -85,26 +79,6 @@ def test_clipped_pixels_keep_a_tenth_of_their_weight_or_go(rng) -> None:
     assert np.array_equal(dropped.mask, ~clipped)
 
 
-@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
-@pytest.mark.parametrize("curve", [TransferCurve.LINEAR, TransferCurve.SRGB])
-def test_the_fused_pass_is_decoding_then_inversion(rng, dtype, curve) -> None:
-    transfer = Transfer(curve=curve, black_level=0.01, white_level=0.95)
-    truth = normals_near_the_axis(rng, (24, 31))
-    scale = np.iinfo(dtype).max
-    light = np.minimum(rgb_from_normals(truth, RESPONSE) * 1.8, 0.9)  # clear of the white level, but for
-    encoded = np.round(encoded_from_linear(light, transfer) * scale).astype(dtype)
-    encoded[0, 0] = scale
-    encoded[3, 4, 1] = scale
-    clipped = np.zeros((24, 31), bool)
-    clipped[0, 0] = clipped[3, 4] = True
-    rgb = linear_from_integers(encoded, transfer)
-    separate = normals_from_frame(frame_of(rgb, clipped), RESPONSE)
-    fused = normals_from_encoded(encoded, RESPONSE, transfer)
-    assert np.array_equal(fused.mask, separate.mask)
-    np.testing.assert_allclose(fused.normals_in_camera, separate.normals_in_camera, atol=1e-6)
-    np.testing.assert_allclose(fused.weight, separate.weight, atol=1e-6)
-
-
 def test_camera_noise_tilts_normals_by_what_the_inverse_predicts(rng) -> None:
     truth = normals_near_the_axis(rng, (200, 200))
     sigma = 0.002
@@ -134,10 +108,6 @@ def test_refusals(rng) -> None:
         normals_from_frame(frame, RESPONSE, np.ones((5, 4), bool))
     with pytest.raises(BadInput, match="mask: expected booleans, got uint8"):
         relative_albedo_from_frame(frame, RESPONSE, np.full((4, 5), 255, np.uint8))
-    with pytest.raises(BadInput, match="8- or 16-bit"):
-        normals_from_encoded(np.ones((4, 5, 3)), RESPONSE, Transfer())
-    with pytest.raises(BadInput, match="image: expected shape"):
-        normals_from_encoded(np.ones((4, 5, 4), np.uint8), RESPONSE, Transfer())
 
 
 def test_a_frame_that_is_not_finite_is_refused() -> None:

@@ -28,7 +28,7 @@ from vntoolkit.materials.search import Material, find_materials
 from vntoolkit.options.normals import ShadowMethod
 from vntoolkit.options.reconstruction import MaterialSearch, Product, ReconstructOptions
 from vntoolkit.photometry.frame import LinearFrame
-from vntoolkit.photometry.response import LightResponse, with_near_lamps
+from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline import measured_materials
 from vntoolkit.pipeline.frame_processor import FrameProcessor
@@ -99,23 +99,6 @@ def test_moving_stripes_leave_no_seam(striped: Request) -> None:
         labels = nearest.argmin(axis=1)[read_materials(striped.folder.file("materials", number))]
         assert np.mean(labels[mask] == stripes(number)[mask]) > 0.98
         assert angles_between_deg(found.normals_in_camera[mask], normals[mask]).mean() < 2.5
-
-
-def test_paints_under_near_lamps_are_fitted_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The search knows how strong near lamps are at a pixel; with labels known, where they stand, too."""
-    job = filmed(tmp_path, PAINTS, 1, with_near_lamps(RESPONSE, 0.15, (SIZE, SIZE)))
-
-    def once(*known: Any) -> list[MaterialEntry]:
-        return list(known[2])  # as they were measured
-
-    off = []
-    for name in ("again", "once"):
-        reconstruct(into(job, name))
-        entries = read_manifest(tmp_path / name).known.materials
-        values = np.array([entry.reflectance for entry in entries])
-        off.append(np.abs(np.log(values[:, None] / PAINTS)).max(axis=2).min(axis=1).max())
-        monkeypatch.setattr("vntoolkit.pipeline.measured_materials.refitted_materials", once)
-    assert off[0] < 0.5 * off[1]
 
 
 @pytest.mark.parametrize(("frames", "expected"), [(1, [0]), (2, [0, 1]), (4, [0, 1, 2]), (18, [0, 8, 16])])

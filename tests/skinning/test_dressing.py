@@ -69,7 +69,7 @@ def test_garment_keeps_its_own_motion(moving_jumper: MeshSequence) -> None:
     )
     dressed = dress(moving_jumper, still, DressOptions(anchor=Anchor.NONE), GarmentFit(bind_frame=0))
     for frame in (0, 13):
-        expected = dressed.rest_from_cloth.apply(moving_jumper.vertices[frame])
+        expected = dressed.fitting.rest_from_cloth.apply(moving_jumper.vertices[frame])
         np.testing.assert_allclose(dressed.frame(frame), expected, atol=1e-9)
 
 
@@ -117,7 +117,9 @@ def test_real_motions_are_understood(real_data: Path, moving_jumper: MeshSequenc
         dressed = dress(moving_jumper, motion, DressOptions(clock=ClockOptions(start=1.0)))
         shoulders = list(shoulders_of(motion.skeleton, anatomy))
         top = dressed.template.vertices[:, 1].min()  # y points down
-        assert top < dressed.rest_from_model[shoulders, 1, 3].min() - 0.04  # the collar: above both shoulders
+        assert (
+            top < dressed.fitting.rest_from_model[shoulders, 1, 3].min() - 0.04
+        )  # the collar: above both shoulders
         for frame in (0, 29):
             assert gaps_to_torso(dressed, frame).max() < 0.35
 
@@ -126,9 +128,9 @@ def test_arms_are_turned_into_the_sleeves(real_data: Path, moving_jumper: MeshSe
     motion = read_motion(real_data / "mocap" / "lambada.amc")  # rests with arms out
     dressed = dress(moving_jumper, motion)
     skeleton = dressed.motion.skeleton
-    vertices = dressed.rest_from_cloth.apply(moving_jumper.vertices[0])
-    shoulder = dressed.rest_from_model[skeleton.index_of("lhumerus"), :3, 3]
-    wrist = dressed.rest_from_model[skeleton.index_of("lwrist"), :3, 3]
+    vertices = dressed.fitting.rest_from_cloth.apply(moving_jumper.vertices[0])
+    shoulder = dressed.fitting.rest_from_model[skeleton.index_of("lhumerus"), :3, 3]
+    wrist = dressed.fitting.rest_from_model[skeleton.index_of("lwrist"), :3, 3]
     cuff = vertices[len(vertices) * 2 // 3 - 32 : len(vertices) * 2 // 3].mean(axis=0)  # of the left sleeve
     cosine = (wrist - shoulder) @ (cuff - shoulder)
     cosine /= np.linalg.norm(wrist - shoulder) * np.linalg.norm(cuff - shoulder)
@@ -152,7 +154,9 @@ def test_a_joint_that_leads_nowhere_is_no_arm_to_aim(jumper: Mesh, tips: int) ->
     motion = replace(walk, skeleton=marked, rotations=np.concatenate([walk.rotations, still], axis=1))
     cloth = MeshSequence(template=jumper, vertices=np.array(jumper.vertices)[None])
     dressed, expected = dress(cloth, motion), dress(cloth, walk)
-    np.testing.assert_allclose(dressed.rest_from_model[:number], expected.rest_from_model, atol=1e-12)
+    np.testing.assert_allclose(
+        dressed.fitting.rest_from_model[:number], expected.fitting.rest_from_model, atol=1e-12
+    )
     assert np.isfinite(dressed.frame(0)).all()
 
 
@@ -166,8 +170,8 @@ def test_a_sheet_seen_from_the_front_lies_before_the_bones(jumper: Mesh) -> None
     for name, cloth in (("sheet", sheet), ("closed", closed)):
         dressed = dress(cloth, walking_motion())
         trunk = list(anatomy_of(dressed.motion.skeleton).trunk)
-        covered = dressed.rest_from_cloth.apply(jumper.vertices)[np.unique(cloth.template.faces)]
-        depths[name] = covered[:, 2] - dressed.rest_from_model[trunk, 2, 3].mean()
+        covered = dressed.fitting.rest_from_cloth.apply(jumper.vertices)[np.unique(cloth.template.faces)]
+        depths[name] = covered[:, 2] - dressed.fitting.rest_from_model[trunk, 2, 3].mean()
     assert depths["sheet"].max() == pytest.approx(0, abs=1e-9)
     assert depths["closed"].max() == pytest.approx(-depths["closed"].min(), abs=1e-9)
 
@@ -182,7 +186,7 @@ def test_a_collar_seen_from_within_does_not_push_the_bones_back(jumper: Mesh) ->
     for vertices, triangles in ((jumper.vertices, front), (with_collar, faces)):
         sheet = Mesh(vertices=vertices, faces=triangles)
         dressed = dress(MeshSequence(template=sheet, vertices=vertices[None]), walking_motion())
-        bones.append(dressed.rest_from_cloth.rigid.translation[2])
+        bones.append(dressed.fitting.rest_from_cloth.rigid.translation[2])
     assert bones[1] == pytest.approx(bones[0], abs=1e-9)
 
 
@@ -190,7 +194,7 @@ def test_fit_is_adjustable(moving_jumper: MeshSequence) -> None:
     plain = dress(moving_jumper, walking_motion())
     moved = RigidTransform.from_rotation_vector([0, 0.3, 0], [0.02, -0.05, 0.01])
     fitted = dress(moving_jumper, walking_motion(), None, GarmentFit(scale=1.2, adjustment=moved))
-    before, after = (d.rest_from_cloth.apply(moving_jumper.vertices[0]) for d in (plain, fitted))
+    before, after = (d.fitting.rest_from_cloth.apply(moving_jumper.vertices[0]) for d in (plain, fitted))
     centre = (before.min(axis=0) + before.max(axis=0)) / 2
     expected = centre + moved.translation + 1.2 * moved.rotate(before - centre)
     np.testing.assert_allclose(after, expected, atol=1e-9)
@@ -207,7 +211,7 @@ def test_landmarks_decide(jumper: Mesh) -> None:
     cloth = MeshSequence(template=jumper.with_vertices(vertices), vertices=vertices[None])
     fit = GarmentFit(landmarks=tuple(Landmark(vertex=i, joint=name) for i, name in enumerate(names)))
     dressed = dress(cloth, walking_motion(), DressOptions(figure_height=1.7), fit)
-    np.testing.assert_allclose(dressed.rest_from_cloth.apply(vertices[:4]), targets, atol=1e-9)
+    np.testing.assert_allclose(dressed.fitting.rest_from_cloth.apply(vertices[:4]), targets, atol=1e-9)
     with pytest.raises(BadMotion, match="no joint 'Nose'; it has Hips"):
         dress(cloth, walking_motion(), None, GarmentFit(landmarks=(Landmark(vertex=0, joint="Nose"),) * 3))
     with pytest.raises(BadInput, match="landmark vertex 999999"):

@@ -128,7 +128,7 @@ def test_trousers_follow_the_leg_on_their_side_and_nothing_above_the_hips() -> N
     legs = anatomy_of(skeleton).legs
     assert set(np.unique(weights.joints[weights.weights > 0])) <= {0, *legs}
     x, y, _ = dressed.cloth[0].vertices.T
-    sides = dressed.rest_from_model[:, 0, 3] - dressed.rest_from_model[0, 0, 3]
+    sides = dressed.fitting.rest_from_model[:, 0, 3] - dressed.fitting.rest_from_model[0, 0, 3]
     for side in (-1, 1):
         own = [joint for joint in legs if np.sign(sides[joint]) == side]
         share = np.where(np.isin(weights.joints, own), weights.weights, 0).sum(axis=1)
@@ -165,7 +165,7 @@ def test_each_kind_is_worn_on_its_own_bones() -> None:
     legs = anatomy_of(dressed.motion.skeleton).legs
     assert set(np.unique(dressed.weights.joints[dressed.weights.weights > 0])) <= {0, *legs}
     assert (
-        dressed.template.vertices[:, 1].min() < dressed.rest_from_model[0, 1, 3]
+        dressed.template.vertices[:, 1].min() < dressed.fitting.rest_from_model[0, 1, 3]
     )  # the waist is above the hips
     vest = relief(0.4, 0.7, [([0.0, 0.0], [0.0, 0.6], 0.2, 0.2)])
     dressed = worn(vest, Garment.SLEEVELESS)
@@ -192,7 +192,7 @@ def test_what_a_track_pulled_apart_is_drawn_together(sheet: MeshSequence) -> Non
     slipped = np.hypot(x, y - 0.4) < 0.03
     moved[1, slipped, 2] -= 0.06
     torn = dress(replace(sheet, vertices=moved), walking_motion())
-    growth = [torn.meter().stretch(rest).max() for rest in torn.rest_frames()]
+    growth = [torn.meter().stretch(rest).max() for rest in map(torn.rest_frame, range(len(torn)))]
     assert growth[0] == pytest.approx(1, abs=1e-4)  # kept in float32
     assert 1.3 < max(growth) < 1.6  # 7 times without
     edges = edges_from_faces(sheet.template.faces)

@@ -135,16 +135,6 @@ def find_materials(searched: SearchedFrames, count: int | None = None) -> list[M
     return sorted(materials, key=lambda material: -material.share)
 
 
-def fitted_again(searched: SearchedFrames, known: Points) -> list[Material]:
-    """Fit materials of reflectances (m, 3) that were found before again, in even light, in their order."""
-    regions, lamps = searched.regions, searched.split.lamps
-    _, tolerance = _reflectances_of_regions(regions, lamps)
-    found = _converged(np.log(known), None, regions, lamps, tolerance, _FIRST_ROUNDS, None)
-    found = _converged(found.logs, found.labels, regions, lamps, tolerance, 1, found.spread)
-    found, of_rig = _in_rigs_hue(found, regions, lamps, tolerance)
-    return _fitted_each(found, of_rig, searched, tolerance)
-
-
 def _fitted_each(found: _Found, of_rig: Mask, searched: SearchedFrames, tolerance: float) -> list[Material]:
     """Return the materials of a description, each fitted once more to its own pixels.
 

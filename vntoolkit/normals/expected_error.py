@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 from numba import prange
 
-from vntoolkit.arrays import Array, ByteArray, Float32Array, Mask, VisibilityLabels
+from vntoolkit.arrays import ByteArray, Float32Array, Mask, VisibilityLabels
 from vntoolkit.checks import require_shape
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import HALF_WEIGHT_DEG, NormalMap
@@ -43,18 +43,12 @@ from vntoolkit.normals.frame_evidence import (
     slow_changes_at,
 )
 from vntoolkit.normals.inversion import (
-    coefficients_from_response,
-    decoding_of,
     read_row,
-    require_encoded,
-    require_mask_or_all,
     rows_of,
 )
-from vntoolkit.options.normals import InversionOptions
 from vntoolkit.photometry.frame import ALL_LIT, LinearFrame
-from vntoolkit.photometry.levelling import leveller_of, map_row, span_of
+from vntoolkit.photometry.levelling import span_of
 from vntoolkit.photometry.response import LightResponse
-from vntoolkit.photometry.transfer import Transfer
 from vntoolkit.spread import NINE_OF_TEN_IN_PLANE
 
 OF_ANGLE = NINE_OF_TEN_IN_PLANE / math.sqrt(2.0)  # over the root of the angles' mean square
@@ -178,48 +172,6 @@ def _pairs_of_lights(response: LightResponse) -> Float32Array:
         pairs[ALL_LIT - (1 << missing), :3] = across / max(float(np.linalg.norm(across)), 1e-12)
         pairs[ALL_LIT - (1 << missing), 3:] = response.light_directions[missing]
     return pairs.astype(np.float32)
-
-
-def normals_and_errors_from_encoded(
-    encoded: Array,
-    response: LightResponse,
-    transfer: Transfer,
-    mask: Mask | None = None,
-    *,
-    camera: Camera | None = None,
-    options: InversionOptions | None = None,
-    bits: int | None = None,
-    residual_deg: float = 0.0,
-    blur_px: float = 0.0,
-    residual_of_pixels: bool = False,
-) -> tuple[NormalMap, float]:
-    """Decode, invert and tell the error in one pass; return the map and the share of clipped pixels.
-
-    The normals of `normals_from_encoded` with the errors of `with_expected_error`.
-    """
-    shape = require_encoded(encoded)
-    inside, decoding = require_mask_or_all(mask, shape), decoding_of(encoded, transfer, bits)
-    maps = None if response.variation is None else leveller_of(response, shape).maps
-    light = FrameLight(np.ascontiguousarray(encoded), decoding.table, None, decoding.white, maps)
-    options = options or InversionOptions()
-    c = coefficients_from_rig(response, camera, options.relative_albedo, options.darkest)
-    noise_deg, noise, constants = _judged(light, inside, None, c, residual_deg, blur_px, residual_of_pixels)
-    inversion = coefficients_from_response(response, options)
-    limits = np.array([inversion.darkest, inversion.clipped_factor, decoding.white], np.float32)
-    normals, valid = np.empty((*shape, 3), np.float32), np.empty(shape, np.bool_)
-    error, weight = np.empty(shape, np.float32), np.empty(shape, np.float32)
-    clipped = np.zeros(shape[0], np.int64)
-    out = (rows_of(normals), valid, error, weight, clipped)
-    image = rows_of(light.image)
-    _normals_and_errors_kernel(image, decoding.table, maps, inside, noise, constants, limits, out)
-    found = NormalMap(
-        normals_in_camera=normals,
-        mask=valid,
-        weight=weight,
-        error_deg=error,
-        noise_deg=noise_deg,
-    )
-    return found, float(clipped.sum()) / max(1, shape[0] * shape[1])
 
 
 def _judged(
@@ -410,41 +362,3 @@ def _unlit_row(
         known = squared < np.float32(8.0)  # no NaN
         bound = _PER_DISTANCE * squared + _PER_NOISE * _ALBEDO_SPREAD * _ALBEDO_SPREAD * moved
         unlit[u] = min(max(bound, SHORTEST), _LARGEST_DEG * _LARGEST_DEG) if known else unknown
-
-
-@njit(cache=True, parallel=True, error_model="numpy")
-def _normals_and_errors_kernel(
-    encoded: Any, table: Any, maps: Any, mask: Mask, noise: Any, constants: Any, limits: Any, out: Any
-) -> None:
-    """Fill normals (h, w, 3), valid, the bound in degrees and its weight (h, w), and clipped pixels a row."""
-    height, width = mask.shape
-    normals, valid, error, weight, clipped = out  # numba drops stores through a tuple's field inside prange
-    darkest, clipped_factor, white, zero = limits[0], limits[1], limits[2], np.float32(0.0)
-    for v in prange(height):
-        r, g, b = np.empty(width, np.float32), np.empty(width, np.float32), np.empty(width, np.float32)
-        length, row_noise = np.empty(width, np.float32), np.empty((3, width), np.float32)
-        unlit, good = np.zeros(width, np.float32), np.empty(width, np.bool_)
-        evidence_row(noise, np.int64(v), 0, row_noise)
-        read_row(encoded[v], table, r, g, b)
-        count = 0
-        for u in range(width):
-            largest = max(r[u], g[u])
-            top = max(largest, b[u]) >= white
-            count += top
-            good[u] = mask[v, u] & ((not top) | (clipped_factor > zero))
-        clipped[v] = count
-        if maps is not None:
-            map_row(maps, np.int64(v), 0, r, g, b)
-        near = slow_changes_at(mask.shape, constants, 0, v)
-        _bound_row(r, g, b, None, unlit, row_noise, good, constants, near, length, error[v], weight[v])
-        to_error, to_weight, to_valid, to_normals = error[v], weight[v], valid[v], normals[v]
-        for u in range(width):
-            kept = good[u] & (length[u] > darkest) & (length[u] < LONGEST) & (b[u] < zero)
-            to_valid[u] = kept
-            to_error[u] = to_error[u] if kept else zero
-            to_weight[u] = to_weight[u] if kept else zero
-            r[u], g[u], b[u] = r[u] if kept else zero, g[u] if kept else zero, b[u] if kept else zero
-        for u in range(width):
-            to_normals[3 * u] = r[u]
-            to_normals[3 * u + 1] = g[u]
-            to_normals[3 * u + 2] = b[u]

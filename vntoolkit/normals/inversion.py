@@ -11,7 +11,7 @@ import numpy as np
 from numba import prange
 
 from vntoolkit.arrays import Array, Mask
-from vntoolkit.checks import checks_kinds, require_mask, require_shape
+from vntoolkit.checks import checks_kinds, require_mask
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import NormalMap
@@ -20,7 +20,6 @@ from vntoolkit.options.normals import InversionOptions
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.levelling import leveller_of, map_row, span_of
 from vntoolkit.photometry.response import LightResponse, scaled_normals_from_rgb
-from vntoolkit.photometry.transfer import Transfer, decoding_table
 
 _LONGEST = np.float32(1e18)  # squares beyond it overflow float32: treated as not finite
 _ALBEDO_TOLERANCE = 0.25  # relative departure from the expected albedo that halves a pixel's weight
@@ -50,7 +49,7 @@ def normals_from_frame(
         )
     inside = require_mask_or_all(mask, frame.shape)
     clipped = np.ascontiguousarray(frame.clipped)
-    found = _inverted(np.ascontiguousarray(frame.rgb), None, clipped, inside, response, options)
+    found = _inverted(np.ascontiguousarray(frame.rgb), clipped, inside, response, options)
     return found if camera is None else _towards(found, camera)
 
 
@@ -67,25 +66,6 @@ def _towards(normal_map: NormalMap, camera: Camera) -> NormalMap:
     assert normal_map.weight is not None  # every map of these loops has one
     weight = np.where(kept, normal_map.weight, np.float32(0))
     return NormalMap(normals_in_camera=normals, mask=kept, weight=weight)
-
-
-@checks_kinds
-def normals_from_encoded(
-    encoded: Array,
-    response: LightResponse,
-    transfer: Transfer,
-    mask: Mask | None = None,
-    options: InversionOptions | None = None,
-    bits: int | None = None,
-) -> NormalMap:
-    """Decode and invert in one pass: `normals_from_frame` of stored uint8 or uint16 samples (h, w, 3), RGB.
-
-    transfer: the capture's curve and levels. bits: significant bits of a sample, default all. A sample at or
-    above the white level is clipped.
-    """
-    inside = require_mask_or_all(mask, require_encoded(encoded))
-    decoding = decoding_of(encoded, transfer, bits)
-    return _inverted(np.ascontiguousarray(encoded), decoding, None, inside, response, options)
 
 
 @checks_kinds
@@ -142,22 +122,6 @@ def coefficients_from_response(response: LightResponse, options: InversionOption
     )
 
 
-def decoding_of(encoded: Array, transfer: Transfer, bits: int | None) -> "Decoding":
-    """Lay out the decoding of stored samples for the loops."""
-    storage_bits = encoded.dtype.itemsize * 8
-    table = decoding_table(transfer, bits or storage_bits, storage_bits)
-    white = (transfer.white_level - transfer.black_level) / (1.0 - transfer.black_level)
-    return Decoding(table=table, white=np.float32(white * (1.0 - 1e-6)))
-
-
-def require_encoded(encoded: Array) -> tuple[int, int]:
-    """Return the (h, w) of stored samples; raise `BadInput` for others than (h, w, 3) uint8 or uint16."""
-    if encoded.dtype not in (np.uint8, np.uint16):
-        raise BadInput(f"image: expected 8- or 16-bit samples, got {encoded.dtype}")
-    require_shape(encoded, (None, None, 3), "image")
-    return encoded.shape[0], encoded.shape[1]
-
-
 def require_mask_or_all(mask: Mask | None, shape: tuple[int, int]) -> Mask:
     """Return the mask, True everywhere for None."""
     if mask is None:
@@ -167,10 +131,9 @@ def require_mask_or_all(mask: Mask | None, shape: tuple[int, int]) -> Mask:
 
 
 def _inverted(
-    image: Array, decoding: "Decoding | None", clipped: Mask | None, inside: Mask, response: LightResponse,
-    options: InversionOptions | None,
-) -> NormalMap:  # fmt: skip
-    """Return the normals of linear colours (h, w, 3) with their clipped pixels, or of stored ones."""
+    image: Array, clipped: Mask, inside: Mask, response: LightResponse, options: InversionOptions | None
+) -> NormalMap:
+    """Return the normals of linear colours (h, w, 3) with their clipped pixels."""
     options = options or InversionOptions()
     shape = inside.shape
     maps = None if response.variation is None else leveller_of(response, shape).maps
@@ -179,10 +142,9 @@ def _inverted(
         weight=np.empty(shape, np.float32),
         valid=np.empty(shape, np.bool_),
     )
-    table, white = (None, np.float32(0)) if decoding is None else decoding
     c = coefficients_from_response(response, options)
     flat = out._replace(normals=rows_of(out.normals))
-    _normals_kernel(rows_of(image), table, white, clipped, inside, maps, c, flat)
+    _normals_kernel(rows_of(image), clipped, inside, maps, c, flat)
     return NormalMap(normals_in_camera=out.normals, mask=out.valid, weight=out.weight)
 
 
@@ -206,13 +168,6 @@ class Coefficients(NamedTuple):
     clipped_factor: np.float32
 
 
-class Decoding(NamedTuple):
-    """table: linear float32 value of every stored integer. white: value from which a sample is clipped."""
-
-    table: Array
-    white: np.float32
-
-
 class Outputs(NamedTuple):
     """normals (h, 3 w) float32, weight (h, w) float32, valid (h, w) bool: filled by the loop."""
 
@@ -221,33 +176,31 @@ class Outputs(NamedTuple):
     valid: Array
 
 
-# Compiled loops: one pass over the image, row by row. A table of None stands for linear colours, maps of
-# None for one M all over the image: numba drops the branches for the other. Rows are flat slices, and what
-# every pixel shares is read before a loop: only such loops are done many pixels at a time.
+# Compiled loops: one pass over the image, row by row. Maps of None stand for one M all over the image: numba
+# drops the branches for the other. Rows are flat slices, and what every pixel shares is read before a loop:
+# only such loops are done many pixels at a time.
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
 def _normals_kernel(
-    image: Array, table: Any, white: Any, clipped: Any, inside: Array, maps: Any, c: Coefficients,
-    out: Outputs,
-) -> None:  # fmt: skip
-    """Fill `out` from linear colours (h, 3 w), or from stored integers by a table, clipped at `white`."""
+    image: Array, clipped: Array, inside: Array, maps: Any, c: Coefficients, out: Outputs
+) -> None:
+    """Fill `out` from linear colours (h, 3 w) with their clipped pixels (h, w)."""
     height, width = inside.shape
     normals, weight, valid = out  # numba drops stores through a tuple's field inside prange
     for v in prange(height):
         first, last = span_of(inside[v])
         count = last - first
         x, y, z = np.empty(count, np.float32), np.empty(count, np.float32), np.empty(count, np.float32)
-        read_row(image[v, 3 * first : 3 * last], table, x, y, z)
-        top = np.empty(count, np.bool_)
-        _clipped_row(clipped, v, first, white, x, y, z, top)
+        read_row(image[v, 3 * first : 3 * last], None, x, y, z)
         if maps is not None:
             map_row(maps, np.int64(v), first, x, y, z)
         _mix_row(c, x, y, z)
         for side in (slice(0, first), slice(last, width)):
             weight[v, side], valid[v, side] = _ZERO, False
         normals[v, : 3 * first], normals[v, 3 * last :] = _ZERO, _ZERO
-        _normalise_row(x, y, z, top, inside[v, first:last], c, weight[v, first:last], valid[v, first:last])
+        within = slice(first, last)
+        _normalise_row(x, y, z, clipped[v, within], inside[v, within], c, weight[v, within], valid[v, within])
         to = normals[v, 3 * first : 3 * last]
         for u in range(count):
             to[3 * u] = x[u]
@@ -263,21 +216,6 @@ def read_row(line: Any, table: Any, r: Any, g: Any, b: Any) -> None:
             r[u], g[u], b[u] = line[3 * u], line[3 * u + 1], line[3 * u + 2]
         else:
             r[u], g[u], b[u] = table[line[3 * u]], table[line[3 * u + 1]], table[line[3 * u + 2]]
-
-
-@njit(cache=True, error_model="numpy")
-def _clipped_row(
-    clipped: Any, v: int, first: int, white: Any, r: Array, g: Array, b: Array, top: Array
-) -> None:
-    """Fill a row, from pixel `first` on, with which colours are clipped: told by `clipped` (h, w), or from
-    `white` on.
-    """
-    for u in range(len(top)):
-        if clipped is None:
-            largest = max(r[u], g[u])  # of two at a time: numba makes SIMD of that
-            top[u] = max(largest, b[u]) >= white
-        else:
-            top[u] = clipped[v, first + u]
 
 
 @njit(cache=True, error_model="numpy")

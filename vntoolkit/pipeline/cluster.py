@@ -21,13 +21,6 @@ _IN_FLIGHT = 2  # items per thread of the cluster: one at work, one ready
 _SECONDS_TO_CONNECT = 15
 _SECONDS_BETWEEN_LOOKS = 5
 _SECONDS_OF_SILENCE = 30  # workers tell of themselves every few seconds
-_RARE_HOUSEKEEPING: dict[str, Any] = {  # several watches a second would cost two busy cores a twelfth
-    "distributed.admin.tick.interval": "1s",
-    "distributed.admin.system-monitor.interval": "5s",
-    "distributed.admin.system-monitor.gil.enabled": False,
-    "distributed.worker.memory.monitor-interval": "1s",
-    "distributed.worker.profile.enabled": False,
-}
 _here = threading.local()  # a worker of many threads has what it began once for each
 
 
@@ -54,38 +47,36 @@ def require_scheduler(scheduler: str) -> None:
 @contextlib.contextmanager
 def connected(scheduler: str, workers: int) -> Iterator[Any]:
     """A Dask client of a scheduler, which is started and ended here if it is to be local."""
-    dask, distributed = _import_distributed()
+    distributed = _import_distributed()
     _silence_dask()
-    if scheduler == LOCAL:
-        with contextlib.ExitStack() as stack:
-            stack.enter_context(dask.config.set(_RARE_HOUSEKEEPING))
-            try:
-                cluster = distributed.LocalCluster(
-                    n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=None,
-                    silence_logs=logging.CRITICAL,  # a heartbeat that meets the run's end is called an error
-                )  # fmt: skip
-                client = distributed.Client(stack.enter_context(cluster))
-            except (RuntimeError, OSError) as error:  # a worker that ended as it began, or no port
-                raise VntError(
-                    f"Dask's workers did not start ({error}); run the same command again, with fewer --jobs"
-                ) from error
-            yield stack.enter_context(client)
+    if scheduler != LOCAL:
+        try:
+            client = distributed.Client(scheduler, timeout=_SECONDS_TO_CONNECT)
+        except (OSError, ValueError) as error:
+            raise BadInput(f"--scheduler {scheduler}: no Dask scheduler answers there ({error})") from error
+        with client:
+            yield client
         return
-    try:
-        client = distributed.Client(scheduler, timeout=_SECONDS_TO_CONNECT)
-    except (OSError, ValueError) as error:
-        raise BadInput(f"--scheduler {scheduler}: no Dask scheduler answers there ({error})") from error
-    with client:
-        yield client
+    with contextlib.ExitStack() as stack:
+        try:
+            cluster = distributed.LocalCluster(
+                n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=None,
+                silence_logs=logging.CRITICAL,  # a heartbeat that meets the run's end is called an error
+            )  # fmt: skip
+            client = distributed.Client(stack.enter_context(cluster))
+        except (RuntimeError, OSError) as error:  # a worker that ended as it began, or no port
+            raise VntError(
+                f"Dask's workers did not start ({error}); run the same command again, with fewer --jobs"
+            ) from error
+        yield stack.enter_context(client)
 
 
-def _import_distributed() -> tuple[Any, Any]:
+def _import_distributed() -> Any:
     try:
-        import dask
         import distributed
     except ImportError as error:
         raise MissingDependency("--scheduler needs Dask: pip install vntoolkit[cluster]") from error
-    return dask, distributed
+    return distributed
 
 
 def _silence_dask() -> None:

@@ -5,18 +5,18 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from vntoolkit import progress
-from vntoolkit.arrays import Float32Array, FloatArray, Points, Vector3
+from vntoolkit.arrays import Float32Array, Points, Vector3
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera, ViewedFrom
 from vntoolkit.geometry.garment_fit import GarmentFit
 from vntoolkit.geometry.mesh import Mesh, MeshSequence, vertex_normals
 from vntoolkit.geometry.motion import Motion, Skeleton, bone_segments, pose_of_frame
-from vntoolkit.geometry.rigid import Similarity
 from vntoolkit.geometry.skinned_clip import SkinnedClip, blend_shapes
 from vntoolkit.io.atomic import require_writable_folder
 from vntoolkit.io.footage.frame_range import sampled
@@ -76,25 +76,15 @@ class DressedFigure:
     def __len__(self) -> int:
         return len(self.clock)
 
-    @property
-    def rest_from_cloth(self) -> Similarity:
-        """Puts the garment onto the figure, before its sleeves are fitted to the arms."""
-        return self.fitting.rest_from_cloth
-
-    @property
-    def rest_from_model(self) -> FloatArray:
-        """R of equation 8: the pose of attachment, (j, 4, 4)."""
-        return self.fitting.rest_from_model
-
     @cached_property
     def template(self) -> Mesh:
         """Topology, colours and texture coordinates, with the attached frame in the pose of attachment."""
-        on_figure = self.rest_from_cloth.apply(self.cloth[self.attached_in].vertices)
+        on_figure = self.fitting.rest_from_cloth.apply(self.cloth[self.attached_in].vertices)
         return self.cloth.template.with_vertices(self.captured.first_at_rest(on_figure))
 
     def meter(self) -> DressingMeter:
         """Return what measures posed frames of this garment."""
-        on_figure = self.rest_from_cloth.apply(self.cloth[self.attached_in].vertices)
+        on_figure = self.fitting.rest_from_cloth.apply(self.cloth[self.attached_in].vertices)
         kind, skeleton = self.fitting.garment, self.motion.skeleton
         bare = kind.is_lower or kind is Garment.SLEEVELESS
         return DressingMeter(self.template, on_figure, self.fitting.sleeved, skeleton, has_sleeves=not bare)
@@ -103,25 +93,22 @@ class DressedFigure:
         """Return the vertices (n, 3) of each frame of the clock, one after the other."""
         return map(self.frame, range(len(self)))
 
-    def rest_frames(self) -> Iterator[Points]:
-        """Return the captured cloth (n, 3) of each of them, in the pose of attachment."""
-        return map(self._rest_frame, range(len(self)))
-
     def frame(self, index: int) -> Points:
         """Return the vertices (n, 3) of one frame of the clock."""
-        pose, rest = pose_of_frame(self.motion, index), self._rest_frame(index)
-        return skinned_vertices(rest, self.weights, pose, self.rest_from_model, self.blend)
+        pose, rest = pose_of_frame(self.motion, index), self.rest_frame(index)
+        return skinned_vertices(rest, self.weights, pose, self.fitting.rest_from_model, self.blend)
 
     @cached_property
     def _kept(self) -> dict[int, Float32Array]:
         """Frames in the pose of attachment: findings, blend shapes and pictures all need them."""
         return {}
 
-    def _rest_frame(self, index: int) -> Points:
+    def rest_frame(self, index: int) -> Points:
+        """Return the captured cloth (n, 3) in a frame of the clock, in the pose of attachment."""
         if index in self._kept:
             return self._kept[index]
         captured = next(clocks.resampled_vertices(self.cloth, self.clock.cloth_s[index : index + 1]))
-        rest = self.captured.at_rest(self.rest_from_cloth.apply(captured)).astype(np.float32)
+        rest = self.captured.at_rest(self.fitting.rest_from_cloth.apply(captured)).astype(np.float32)
         if (len(self._kept) + 1) * rest.nbytes <= _KEPT_BYTES:
             self._kept[index] = rest
         return rest
@@ -138,12 +125,12 @@ class DressedFigure:
         """Return the camera of the capture before the figure of the first frame; None without perspective."""
         if not camera.is_perspective:
             return None
-        attached, first = self.rest_from_model[0], pose_of_frame(self.motion, 0)[0]
+        attached, first = self.fitting.rest_from_model[0], pose_of_frame(self.motion, 0)[0]
         ahead = first[:3, :3] @ attached[:3, :3].T @ np.array([0.0, 0.0, 1.0])
         turn = np.eye(3)
         if np.hypot(ahead[0], ahead[2]) > 1e-6:  # else the figure lies down
             turn = Rotation.from_rotvec([0.0, np.arctan2(ahead[0], ahead[2]), 0.0]).as_matrix()
-        placed = self.rest_from_cloth.rigid
+        placed = self.fitting.rest_from_cloth.rigid
         return ViewedFrom(
             camera=camera,
             position=turn @ (placed.translation - attached[:3, 3]) + first[:3, 3] + self.offset,
@@ -155,13 +142,15 @@ class DressedFigure:
         """Return the garment as other programs animate it: joint weights, and blend shapes for its folds."""
         template = self.template
         count = min(_FOLDS, len(self.cloth) - 1)
-        base, shapes, weights, error = blend_shapes(template.vertices, self.rest_frames, count)
+        base, shapes, weights, error = blend_shapes(
+            template.vertices, lambda: map(self.rest_frame, range(len(self))), count
+        )
         normals = vertex_normals(template.vertices, template.faces)
         return SkinnedClip(
             mesh=replace(template, vertices=base, normals=normals),
             joints=self.weights.joints,
             weights=self.weights.weights,
-            rest_from_model=self.rest_from_model,
+            rest_from_model=self.fitting.rest_from_model,
             motion=self.motion,
             shapes=shapes,
             shape_weights=weights,
@@ -330,34 +319,21 @@ def write_dressed_figure(
             meter.add(vertices, pose_of_frame(dressed.motion, index))
             yield vertices + offset
 
+    shown: dict[str, Any] = {"camera": camera, "texture": texture}
     if dressed.carrier is AnimationStorage.SKIN and is_file:
         clip = dressed.skin().moved(offset)
-        if is_glb:
-            count = write_glb_skin(out, clip, camera=camera, texture=texture)
-        else:
-            count = write_usd_skin(out, clip, camera=camera, texture=texture)
+        count = (write_glb_skin if is_glb else write_usd_skin)(out, clip, **shown)
         for _ in frames():
             pass  # measured
         return DressSummary(frames=count, findings=meter.findings, fold_error=clip.shape_error)
     match out.suffix.lower():
         case ".glb":
-            count = write_glb(
-                out, dressed.template, frames(), frame_rate_hz=rate, camera=camera, texture=texture
-            )
+            count = write_glb(out, dressed.template, frames(), frame_rate_hz=rate, **shown)
         case suffix if suffix in _SEQUENCE_SUFFIXES:
             count = _write_files(dressed.template, frames(), out, texture)
         case _:
-            played = dressed.motion
-            played = replace(played, root_positions=played.root_positions + offset)
-            count = write_usd_sequence(
-                out,
-                dressed.template,
-                frames(),
-                frame_rate_hz=rate,
-                motion=played,
-                camera=camera,
-                texture=texture,
-            )
+            shown["motion"] = replace(dressed.motion, root_positions=dressed.motion.root_positions + offset)
+            count = write_usd_sequence(out, dressed.template, frames(), frame_rate_hz=rate, **shown)
     return DressSummary(frames=count, findings=meter.findings)
 
 

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import logging
-from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from vntoolkit import progress
-from vntoolkit.arrays import Array, FloatArray, Vector3
+from vntoolkit.arrays import FloatArray, Points, Vector3
 from vntoolkit.errors import BadInput, VntError
-from vntoolkit.geometry.camera import Camera, ViewedFrom
+from vntoolkit.geometry.camera import ViewedFrom
 from vntoolkit.geometry.maps import LengthUnit
 from vntoolkit.geometry.mesh import Mesh, vertex_normals
 from vntoolkit.io import atomic
@@ -34,6 +34,7 @@ from vntoolkit.pipeline.opened_result import OpenedResult, read_result
 from vntoolkit.pipeline.texture_files import texture_of_tracks, with_captured_colours
 
 if TYPE_CHECKING:
+    from vntoolkit.io.maps_and_meshes.texture import SurfaceTexture
     from vntoolkit.pipeline.tracked_folder import Tracks
 
 _MATERIAL = "surface.mtl"  # of all frames in a folder of OBJ files
@@ -65,14 +66,15 @@ def export(asked: ExportArguments) -> ExportSummary:
     folder = Path(asked.folder)
     with read_lock(folder):
         result = read_result(folder, frames=asked.frames, footage=asked.footage, background=asked.background)
-        track = _track_of(result, asked)
+        source = ExportSource(result=result, track=_track_of(result, asked), options=asked)
         if asked.to in (ExportFormat.RRD, ExportFormat.MCAP):
             from vntoolkit.pipeline.export_recordings import export_recording
 
-            return export_recording(asked, asked.out, result, track)
-        if asked.to is ExportFormat.USD or (asked.to is ExportFormat.GLB and track is not None):
-            return _export_animation(asked, result, track)
-        return _export_folder(asked, result, track)
+            out = source.file_to_write(asked.out, f".{ExportFormat(asked.to).value}")
+            return export_recording(source, out)
+        if asked.to is ExportFormat.USD or (asked.to is ExportFormat.GLB and source.track is not None):
+            return _export_animation(source, asked.out)
+        return _export_folder(source, asked)
 
 
 def _track_of(result: OpenedResult, options: ExportOptions) -> Tracks | None:
@@ -85,91 +87,157 @@ def _track_of(result: OpenedResult, options: ExportOptions) -> Tracks | None:
     return result.track
 
 
-def _export_animation(options: ExportArguments, result: OpenedResult, track: Tracks | None) -> ExportSummary:
-    filmed = result.manifest.input
-    suffix = ".glb" if options.to is ExportFormat.GLB else ".usdc"
-    out = options.out or result.folder.root / "export" / f"surface{suffix}"
-    if out.suffix.lower() not in ((".glb",) if suffix == ".glb" else (".usdc", ".usd")):
-        raise BadInput(f"{out}: expected the name of a file that ends in {suffix}")
-    lengths = file_lengths(options, result.length_unit)
-    numbers = numbers_with(result, "mesh", track)
-    rate, times_s = filmed.rate_of(numbers), filmed.times_of(numbers)
-    atomic.require_writable_folder(out.parent)  # and remove what a killed run left there
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ExportSource:
+    """A result as files take it. track: its registered surface; None for the meshes of its frames."""
+
+    result: OpenedResult
+    track: Tracks | None
+    options: ExportOptions
+
+    @cached_property
+    def lengths(self) -> FileLengths:
+        """What lengths become. Raises `BadInput` for units that the result has no scale for."""
+        return file_lengths(self.options, self.result.length_unit)
+
+    @cached_property
+    def offset(self) -> Vector3:
+        """(3,), what puts the template's middle above the origin and its lowest point on the floor."""
+        if self.track is None or not self.options.centre:
+            return np.zeros(3)
+        template = self.track.mesh(self.track.template).vertices
+        vertices = np.asarray(template, dtype=np.float64) * self.lengths.factor
+        middle = vertices.mean(axis=0)
+        return -np.array([middle[0], vertices[:, 1].max(), middle[2]])
+
+    @cached_property
+    def texture(self) -> SurfaceTexture | None:
+        """The texture of the registered surface."""
+        return None if self.track is None else texture_of_tracks(self.result.folder.root / "track")
+
+    @property
+    def has_material(self) -> bool:
+        """Whether the frames share a material: OBJ files with a texture."""
+        return self.options.to is ExportFormat.OBJ and self.texture is not None
+
+    @cached_property
+    def template(self) -> Mesh:
+        """The registered surface's topology, colours and texture coordinates."""
+        assert self.track is not None
+        return with_captured_colours(self.track, self.texture)
+
+    @property
+    def camera(self) -> ViewedFrom | None:
+        """The camera of the capture in the scene, which was moved; None without perspective."""
+        camera = self.result.camera
+        if not camera.is_perspective:
+            return None
+        return ViewedFrom(camera=camera, position=self.offset, rotation=np.eye(3), offset=self.offset)
+
+    def numbers_with(self, kind: str) -> tuple[int, ...]:
+        """Return the opened frames that have a depth or a mesh, their own or the registered."""
+        result, track = self.result, self.track
+        if kind == "mesh" and track is not None:
+            found = tuple(number for number in track.numbers if number in set(result.numbers))
+        else:
+            found = tuple(number for number in result.numbers if result.folder.has(number, kind))
+        if not found:
+            root = result.folder.root
+            raise BadInput(
+                f"{root}: holds no {kind} of those frames; run `vntoolkit reconstruct --to {kind}`"
+            )
+        return found
+
+    def vertices(self, number: int) -> Points:
+        """Return the registered surface's vertices (n, 3) in a frame, in the file's unit."""
+        assert self.track is not None
+        return self.track.mesh(number).vertices * self.lengths.factor + self.offset
+
+    def mesh(self, number: int) -> Mesh:
+        """Return the registered surface in a frame, or the frame's own mesh, cleaned if asked for."""
+        if self.track is not None:
+            vertices = self.vertices(number)
+            normals = vertex_normals(vertices, self.template.faces)
+            return replace(self.template, vertices=vertices, normals=normals)
+        mesh = self.result.mesh(number)
+        if mesh is None:  # it was there a moment ago
+            raise BadInput(f"frame {number}: its mesh has vanished")
+        if self.options.cleaning is not None:
+            from vntoolkit.meshing.clean import clean_mesh
+
+            mesh = clean_mesh(mesh, self.options.cleaning)
+        return replace(mesh, vertices=mesh.vertices * self.lengths.factor)
+
+    def file_to_write(self, asked: Path | None, *suffixes: str) -> Path:
+        """Return the file that was asked for, else surface with the first suffix; make its folder."""
+        out = asked or self.result.folder.root / "export" / f"surface{suffixes[0]}"
+        if out.suffix.lower() not in suffixes:
+            raise BadInput(f"{out}: expected the name of a file that ends in {suffixes[0]}")
+        atomic.require_writable_folder(out.parent)  # and remove what a killed run left there
+        return out
+
+
+def _export_animation(source: ExportSource, asked_out: Path | None) -> ExportSummary:
+    filmed, track, up = source.result.manifest.input, source.track, source.options.up
+    is_glb = source.options.to is ExportFormat.GLB
+    lengths, numbers = source.lengths, source.numbers_with("mesh")
+    out = source.file_to_write(asked_out, *((".glb",) if is_glb else (".usdc", ".usd")))
     counted = progress.counted(numbers, "export", len(numbers))
-    clock: dict[str, Any] = {"frame_rate_hz": rate, "times_s": times_s}
-    lengths_of_usd: dict[str, Any] = {"metres_per_unit": lengths.metres_per_unit, "up": options.up}
+    clock: dict[str, Any] = {"frame_rate_hz": filmed.rate_of(numbers), "times_s": filmed.times_of(numbers)}
+    of_usd: dict[str, Any] = {"metres_per_unit": lengths.metres_per_unit, "up": up}
+    texture, moving = source.texture, map(source.vertices, counted)
     if track is None:
         from vntoolkit.io.maps_and_meshes.usd import write_usd_meshes
 
-        own = (own_mesh(result, n, options, lengths.factor) for n in counted)
-        count = write_usd_meshes(out, own, **clock, **lengths_of_usd)
-        return ExportSummary(out=out, frames=count, kept=0, is_tracked=False)
-    offset = offset_of(track, options, lengths.factor)
-    rows = map(track.numbers.index, counted)
-    moving = (track.sequence.vertices[row] * lengths.factor + offset for row in rows)
-    texture = texture_of_tracks(result.folder.root / "track")
-    template = with_captured_colours(track, texture)
-    camera = viewed_from(result.camera, offset)
-    if options.to is ExportFormat.GLB:
+        count = write_usd_meshes(out, map(source.mesh, counted), **clock, **of_usd)
+    elif is_glb:
         from vntoolkit.io.maps_and_meshes.glb import write_glb
 
-        count = write_glb(out, template, moving, **clock, camera=camera, texture=texture)
+        count = write_glb(out, source.template, moving, **clock, camera=source.camera, texture=texture)
     else:
         from vntoolkit.io.maps_and_meshes.usd import write_usd_sequence
 
+        texture = None if texture is None else texture.beside(out)
         count = write_usd_sequence(
-            out,
-            template,
-            moving,
-            **clock,
-            **lengths_of_usd,
-            camera=camera,
-            texture=None if texture is None else texture.beside(out),
+            out, source.template, moving, **clock, **of_usd, camera=source.camera, texture=texture
         )
-    return ExportSummary(out=out, frames=count, kept=0, is_tracked=True)
+    return ExportSummary(out=out, frames=count, kept=0, is_tracked=track is not None)
 
 
-def offset_of(track: Tracks, options: ExportOptions, factor: float) -> Vector3:
-    """Return (3,): what puts the template's middle above the origin and its lowest point on the floor."""
-    if not options.centre:
-        return np.zeros(3)
-    vertices = np.asarray(track.mesh(track.template).vertices, dtype=np.float64) * factor
-    middle = vertices.mean(axis=0)
-    return -np.array([middle[0], vertices[:, 1].max(), middle[2]])
-
-
-def viewed_from(camera: Camera, offset: Vector3) -> ViewedFrom | None:
-    """Return the camera of the capture in a scene that was moved by the offset; None without perspective."""
-    if not camera.is_perspective:
-        return None
-    offset = np.asarray(offset, dtype=np.float64)
-    return ViewedFrom(camera=camera, position=offset, rotation=np.eye(3), offset=offset)
-
-
-def _export_folder(asked: ExportArguments, result: OpenedResult, track: Tracks | None) -> ExportSummary:
-    writer = frame_export(result, track, asked)
+def _export_folder(source: ExportSource, asked: ExportArguments) -> ExportSummary:
+    result, way = source.result, frame_format(source)
     out = asked.out or result.folder.root / "export" / ExportFormat(asked.to).value
-    if out.suffix and out.suffix.lower() == writer.suffix:
-        raise BadInput(f"{out}: expected the name of a folder, for one {writer.suffix} a frame")
+    if out.suffix and out.suffix.lower() == way.suffix:
+        raise BadInput(f"{out}: expected the name of a folder, for one {way.suffix} a frame")
     root = result.folder.root
     atomic.require_apart([out], (root / name for name in ("normals", "depth", "shadows", "mesh", "track")))
     if out.resolve() == root.resolve():
         raise BadInput(f"{out}: is the result itself; choose another --out")
-    numbers = writer.numbers()
+    numbers = source.numbers_with(way.needs) if way.needs else result.numbers
     cleans = [each.name for each in fields(CleanOptions)]
     values = option_values(asked.part(ExportOptions), without=("clean", *cleans))
     values |= {} if asked.cleaning is None else option_values(asked.cleaning, "cleaning.")
-    record = {"version": 1, "options": values, "result_sha256": result.digest, **writer.facts}
+    record = {"version": 1, "options": values, "result_sha256": result.digest}
+    has_meshes = way.needs == "mesh"
+    if has_meshes and source.track is not None and asked.centre:
+        record["camera_position"] = graphics_from_camera(source.offset, source.options.up).round(9).tolist()
     with write_lock(out):
         begin_run(out, EXPORT, record, overwrite=asked.overwrite)
-        kept = {number for number in numbers if writer.is_current(out, number)}
+        kept = {number for number in numbers if way.is_current(source, out, number)}
         progress.begin("export", len(numbers), len(kept))
+        if source.has_material and source.texture is not None:
+            from vntoolkit.io.maps_and_meshes.meshes import write_material
+
+            beside = source.texture.beside(out / _MATERIAL)
+            write_material(out / _MATERIAL, beside.albedo, beside.normal)
         for number in numbers:
             if number not in kept:
-                writer.write(out, number)
+                way.write(source, way.place(out, number), number)
                 progress.step()
-        writer.finish(out)
-    return ExportSummary(out=out, frames=len(numbers), kept=len(kept), is_tracked=writer.is_tracked)
+        if asked.to is ExportFormat.NPZ and source.track is not None:
+            write_tracked_npz(out / "track.npz", source)
+    tracked = source.track is not None if has_meshes else None
+    return ExportSummary(out=out, frames=len(numbers), kept=len(kept), is_tracked=tracked)
 
 
 def _remove_frame_folder(folder: Path) -> None:
@@ -224,264 +292,132 @@ def file_lengths(options: ExportOptions, unit: LengthUnit | None) -> FileLengths
 # The formats with one file or folder per frame: meshes, arrays, normal maps, DiLiGenT objects.
 
 
-def numbers_with(result: OpenedResult, kind: str, track: Tracks | None = None) -> tuple[int, ...]:
-    """Return the opened frames that have a depth or a mesh, their own or the registered; raise for none."""
-    if track is not None:
-        found = tuple(number for number in track.numbers if number in set(result.numbers))
-    else:
-        found = tuple(number for number in result.numbers if result.folder.has(number, kind))
-    if not found:
-        root = result.folder.root
-        raise BadInput(f"{root}: holds no {kind} of those frames; run `vntoolkit reconstruct --to {kind}`")
-    return found
+@dataclass(frozen=True, kw_only=True)
+class FrameFormat:
+    """How a frame is written.
 
-
-def own_mesh(result: OpenedResult, number: int, options: ExportOptions, factor: float) -> Mesh:
-    """Return a frame's own mesh, which was there a moment ago, cleaned if asked for; factor: of lengths."""
-    mesh = result.mesh(number)
-    if mesh is None:
-        raise BadInput(f"frame {number}: its mesh has vanished")
-    if options.cleaning is not None:
-        from vntoolkit.meshing.clean import clean_mesh
-
-        mesh = clean_mesh(mesh, options.cleaning)
-    return replace(mesh, vertices=mesh.vertices * factor)
-
-
-class FrameExport(ABC):
-    """Writes one frame at a time.
-
-    suffix: of its files, empty for a folder a frame. made_from: folders of the result; a file older than
-    theirs is written again. needs: the one of them without which a frame is left out.
+    write: of a source to a file, or to a folder where suffix is empty. made_from: folders of the result; a
+    file older than theirs is written again. needs: the one of them without which a frame is left out.
     """
 
-    suffix = ""
+    write: Callable[[ExportSource, Path, int], None]
+    suffix: str = ""
     made_from: tuple[str, ...] = ("normals",)
-    needs = ""
-    has_lengths = True
-    is_tracked: bool | None = None  # of meshes
-
-    @property
-    def facts(self) -> Mapping[str, Any]:
-        """What else the record of the export says."""
-        return {}
-
-    def __init__(self, result: OpenedResult, track: Tracks | None, options: ExportOptions) -> None:
-        self.result, self.track, self.options = result, track, options
-        self.factor = file_lengths(options, result.length_unit).factor if self.has_lengths else 1.0
-
-    def numbers(self) -> tuple[int, ...]:
-        """Return the frames that there are."""
-        return numbers_with(self.result, self.needs) if self.needs else self.result.numbers
+    needs: str = ""
 
     def place(self, out: Path, number: int) -> Path:
         """Return the file or folder of a frame."""
         return out / f"{number:06d}{self.suffix}"
 
-    def last_file(self, out: Path, number: int) -> Path:
-        """Return the file that is written last."""
-        return self.place(out, number)
-
-    def sources(self, number: int) -> list[Path]:
-        """Return the files of the result that the frame is made from."""
-        return [self.result.folder.file(kind, number) for kind in self.made_from]
-
-    def is_current(self, out: Path, number: int) -> bool:
+    def is_current(self, source: ExportSource, out: Path, number: int) -> bool:
         """Whether the frame was exported, and is not older than what it is made from."""
-        made = self.last_file(out, number)
+        made = self.place(out, number)
+        made = made if self.suffix else made / "filenames.txt"  # which is written last
         if not made.exists():
             return False
-        newest = max((path.stat().st_mtime for path in self.sources(number) if path.exists()), default=0.0)
+        folder = source.result.folder
+        files = [folder.file(kind, number) for kind in self.made_from]
+        if self.needs == "mesh" and source.track is not None:
+            files = [folder.root / "track" / "vertices.npy"]
+        newest = max((path.stat().st_mtime for path in files if path.exists()), default=0.0)
         return made.stat().st_mtime >= newest
 
-    @abstractmethod
-    def write(self, out: Path, number: int) -> None:
-        """Write a frame."""
 
-    def finish(self, out: Path) -> None:  # noqa: B027 - most have nothing to add
-        """Write what belongs to all frames together."""
+def frame_format(source: ExportSource) -> FrameFormat:
+    """Return how frames are written; raise `BadInput` for a result that cannot be."""
+    to = source.options.to
+    if to in INSPECTED:
+        from vntoolkit.pipeline.export_inspection import inspection_format
 
-
-class _Meshes(FrameExport):
-    """PLY, OBJ, STL or GLB a frame, of the registered surface where there is one, else of its own mesh."""
-
-    made_from, needs = ("mesh",), "mesh"
-
-    def __init__(self, result: OpenedResult, track: Tracks | None, options: ExportOptions) -> None:
-        super().__init__(result, track, options)
-        self.suffix, self.is_tracked = f".{options.to.value}", track is not None
-        self._offset: Vector3 = np.zeros(3)
-        self._texture, self._has_material = None, False
-        if track is not None:
-            self._offset = offset_of(track, options, self.factor)
-            self._texture = texture_of_tracks(result.folder.root / "track")
-            self._template = with_captured_colours(track, self._texture)
-
-    @property
-    def facts(self) -> Mapping[str, Any]:
-        """By how much the files' meshes were moved, and hence where the camera is in them."""
-        if self.track is None or not self.options.centre:
-            return {}
-        return {"camera_position": graphics_from_camera(self._offset, self.options.up).round(9).tolist()}
-
-    def numbers(self) -> tuple[int, ...]:
-        return numbers_with(self.result, self.needs, self.track)
-
-    def sources(self, number: int) -> list[Path]:
-        if self.track is None:
-            return super().sources(number)
-        return [self.result.folder.root / "track" / "vertices.npy"]
-
-    def write(self, out: Path, number: int) -> None:
-        path, mesh = self.place(out, number), self._mesh(number)
-        if self.options.to is ExportFormat.GLB:
-            from vntoolkit.io.maps_and_meshes.glb import write_glb
-
-            rate = self.result.manifest.input.playing_rate_hz
-            camera = viewed_from(self.result.camera, self._offset)
-            write_glb(path, mesh, iter([mesh.vertices]), frame_rate_hz=rate, camera=camera)
-        else:
-            from vntoolkit.io.maps_and_meshes.meshes import write_mesh
-
-            write_mesh(path, mesh, up=self.options.up, material=self._material(out))
-
-    def _mesh(self, number: int) -> Mesh:
-        if self.track is None:
-            return own_mesh(self.result, number, self.options, self.factor)
-        vertices = self.track.mesh(number).vertices * self.factor + self._offset
-        normals = vertex_normals(vertices, self._template.faces)
-        return replace(self._template, vertices=vertices, normals=normals)
-
-    def _material(self, out: Path) -> str | None:
-        """Return the name of the material that all frames share, of OBJ files with a texture."""
-        if self._texture is None or self.options.to is not ExportFormat.OBJ:
-            return None
-        if not self._has_material:
-            from vntoolkit.io.maps_and_meshes.meshes import write_material
-
-            beside = self._texture.beside(out / _MATERIAL)
-            write_material(out / _MATERIAL, beside.albedo, beside.normal)
-            self._has_material = True
-        return _MATERIAL
-
-
-class _PointClouds(FrameExport):
-    """PLY without faces, coloured where the footage is still at hand."""
-
-    suffix = ".ply"
-    made_from, needs = ("normals", "depth"), "depth"
-
-    def write(self, out: Path, number: int) -> None:
-        from vntoolkit.io.maps_and_meshes.meshes import write_point_cloud
-        from vntoolkit.meshing.surface import point_cloud_from_depth
-
-        depth_map = self.result.depth(number)
-        assert depth_map is not None
-        try:
-            rgb = self.result.linear(number).rgb
-        except VntError:
-            rgb = None
-        normal_map = self.result.normals(number)
-        cloud = point_cloud_from_depth(depth_map, self.result.camera, rgb=rgb, normal_map=normal_map)
-        cloud = replace(cloud, points=cloud.points * self.factor)
-        write_point_cloud(self.place(out, number), cloud, up=self.options.up)
-
-
-class _NormalMaps(FrameExport):
-    """16-bit PNG."""
-
-    suffix = ".png"
-    has_lengths = False
-
-    def write(self, out: Path, number: int) -> None:
-        normal_map, path = self.result.normals(number), self.place(out, number)
-        write_normal_map(path, normal_map, convention=self.options.normal_convention)
-
-
-class _Arrays(FrameExport):
-    """Everything of a frame as named arrays."""
-
-    suffix = ".npz"
-    made_from = ("normals", "depth", "shadows", "mesh")
-
-    def write(self, out: Path, number: int) -> None:
-        from vntoolkit.io.maps_and_meshes.arrays import write_npz
-
-        write_npz(self.place(out, number), arrays_of_frame(self.result, number, self.options, self.factor))
-
-    def finish(self, out: Path) -> None:
-        if self.track is not None:
-            numbers = self.result.numbers
-            write_tracked_npz(out / "track.npz", self.track, numbers, self.options, self.factor)
-
-
-class _Diligent(FrameExport):
-    """One picture per light: its contribution to the frame, as if it had shone alone."""
-
-    has_lengths = False
-
-    def __init__(self, result: OpenedResult, track: Tracks | None, options: ExportOptions) -> None:
-        super().__init__(result, track, options)
-        if result.lacks_background:
+        return inspection_format(source)
+    if to is ExportFormat.PNG:
+        return FrameFormat(write=_write_normals, suffix=".png")
+    if to is ExportFormat.DILIGENT:
+        if source.result.lacks_background:
             raise BadInput("diligent: the result was made with a background; give it as --background")
-        result.capture  # noqa: B018 - refused before anything is written
-        lights = result.rig.response.lights
-        strengths: FloatArray = np.linalg.norm(lights, axis=1)
-        known = result.manifest.known
-        albedo = 1.0 if known.materials else known.relative_albedo or 1.0
-        self._scale = _HEADROOM * max(1.0, float(albedo)) * float(strengths.max())
-        self._directions = lights / strengths[:, None]
-        self._intensities = np.repeat(strengths[:, None] / self._scale, 3, axis=1)
-
-    def last_file(self, out: Path, number: int) -> Path:
-        return self.place(out, number) / "filenames.txt"
-
-    def write(self, out: Path, number: int) -> None:
-        from vntoolkit.io.light_files import write_diligent
-
-        response = self.result.rig.response
-        rgb = self.result.linear(number).rgb - response.ambient
-        contributions = rgb @ response.contributions_from_rgb.T / self._scale
-        stored = np.rint(np.clip(contributions, 0, 1) * 65535).astype(np.uint16)
-        images = [np.repeat(stored[..., k : k + 1], 3, axis=2) for k in range(3)]
-        write_diligent(
-            self.place(out, number),
-            images,
-            self._directions,
-            self._intensities,
-            self.result.normals(number),
-            self.options.normal_convention,
-        )
+        source.result.capture  # noqa: B018 - refused before anything is written
+        return FrameFormat(write=_write_lights)
+    source.lengths  # noqa: B018 - refused before anything is written
+    if to is ExportFormat.POINTS:
+        return FrameFormat(write=_write_points, suffix=".ply", made_from=("normals", "depth"), needs="depth")
+    if to is ExportFormat.NPZ:
+        of = ("normals", "depth", "shadows", "mesh")
+        return FrameFormat(write=_write_arrays, suffix=".npz", made_from=of)
+    return FrameFormat(write=_write_mesh, suffix=f".{to.value}", made_from=("mesh",), needs="mesh")
 
 
-def frame_export(result: OpenedResult, track: Tracks | None, options: ExportOptions) -> FrameExport:
-    """Return what writes the frames of a format."""
-    kinds: dict[ExportFormat, type[FrameExport]] = {
-        ExportFormat.POINTS: _PointClouds,
-        ExportFormat.NPZ: _Arrays,
-        ExportFormat.PNG: _NormalMaps,
-        ExportFormat.DILIGENT: _Diligent,
-    }
-    if options.to in INSPECTED:
-        from vntoolkit.pipeline.export_inspection import Inspected
+def _write_mesh(source: ExportSource, path: Path, number: int) -> None:
+    """Write PLY, OBJ, STL or GLB, of the registered surface where there is one, else of the frame's mesh."""
+    mesh = source.mesh(number)
+    if source.options.to is ExportFormat.GLB:
+        from vntoolkit.io.maps_and_meshes.glb import write_glb
 
-        return Inspected(result, track, options)
-    return kinds.get(options.to, _Meshes)(result, track, options)
+        rate = source.result.manifest.input.playing_rate_hz
+        write_glb(path, mesh, iter([mesh.vertices]), frame_rate_hz=rate, camera=source.camera)
+        return
+    from vntoolkit.io.maps_and_meshes.meshes import write_mesh
+
+    write_mesh(path, mesh, up=source.options.up, material=_MATERIAL if source.has_material else None)
+
+
+def _write_points(source: ExportSource, path: Path, number: int) -> None:
+    """Write a PLY without faces, coloured where the footage is still at hand."""
+    from vntoolkit.io.maps_and_meshes.meshes import write_point_cloud
+    from vntoolkit.meshing.surface import point_cloud_from_depth
+
+    result = source.result
+    depth_map, normal_map = result.depth(number), result.normals(number)
+    assert depth_map is not None
+    try:
+        rgb = result.linear(number).rgb
+    except VntError:
+        rgb = None
+    cloud = point_cloud_from_depth(depth_map, result.camera, rgb=rgb, normal_map=normal_map)
+    cloud = replace(cloud, points=cloud.points * source.lengths.factor)
+    write_point_cloud(path, cloud, up=source.options.up)
+
+
+def _write_normals(source: ExportSource, path: Path, number: int) -> None:
+    """Write a 16-bit PNG."""
+    convention = source.options.normal_convention
+    write_normal_map(path, source.result.normals(number), convention=convention)
+
+
+def _write_lights(source: ExportSource, path: Path, number: int) -> None:
+    """Write a folder with one picture per light: its contribution, as if it had shone alone."""
+    from vntoolkit.io.light_files import write_diligent
+
+    result = source.result
+    response, known = result.rig.response, result.manifest.known
+    strengths: FloatArray = np.linalg.norm(response.lights, axis=1)
+    albedo = 1.0 if known.materials else known.relative_albedo or 1.0
+    scale = _HEADROOM * max(1.0, float(albedo)) * float(strengths.max())
+    rgb = result.linear(number).rgb - response.ambient
+    contributions = rgb @ response.contributions_from_rgb.T / scale
+    stored = np.rint(np.clip(contributions, 0, 1) * 65535).astype(np.uint16)
+    write_diligent(
+        path,
+        [np.repeat(stored[..., k : k + 1], 3, axis=2) for k in range(3)],
+        response.lights / strengths[:, None],
+        np.repeat(strengths[:, None] / scale, 3, axis=1),
+        result.normals(number),
+        source.options.normal_convention,
+    )
 
 
 # The arrays of `--to npz`: of a frame, and of the registered surface.
 
 
-def arrays_of_frame(
-    result: OpenedResult, number: int, options: ExportOptions, factor: float
-) -> Mapping[str, Array]:
-    """Return what `--to npz` holds of a frame.
+def _write_arrays(source: ExportSource, path: Path, number: int) -> None:
+    """Write everything of a frame as named arrays.
 
     normals (h, w, 3) in the asked convention, mask, confidence, error_deg; depth along the optical axis,
     depth_mask, depth_error_percent; labels; vertices, faces, vertex_normals, vertex_colours, uv of the
-    frame's own mesh in the frame of files; camera_matrix. factor: of lengths. Parts that the frame
-    lacks are left out.
+    frame's own mesh in the frame of files; camera_matrix. Parts that the frame lacks are left out.
     """
+    from vntoolkit.io.maps_and_meshes.arrays import write_npz
+
+    result, options, factor = source.result, source.options, source.lengths.factor
     normal_map, depth_map = result.normals(number), result.depth(number)
     signs = np.array(options.normal_convention.signs, np.float32)
     arrays: dict[str, Any] = {
@@ -507,17 +443,17 @@ def arrays_of_frame(
             "vertex_colours": mesh.colours,
             "uv": mesh.uv,
         }
-    return {name: np.asarray(values) for name, values in arrays.items() if values is not None}
+    write_npz(path, {name: np.asarray(values) for name, values in arrays.items() if values is not None})
 
 
-def write_tracked_npz(
-    path: Path, track: Tracks, numbers: tuple[int, ...], options: ExportOptions, factor: float
-) -> None:
+def write_tracked_npz(path: Path, source: ExportSource) -> None:
     """Write the registered surface: vertices (frames, n, 3), faces, uv, uncertainty_px, frames, times_s,
     frame_rate_hz."""
     from vntoolkit.io.maps_and_meshes.arrays import StreamedArray, write_npz
 
-    wanted = set(numbers)
+    track, options, factor = source.track, source.options, source.lengths.factor
+    assert track is not None
+    wanted = set(source.result.numbers)
     rows = [row for row, number in enumerate(track.numbers) if number in wanted]
     sequence, template = track.sequence, track.sequence.template
     moving = (graphics_from_camera(sequence.vertices[row], options.up) * factor for row in rows)

@@ -6,47 +6,33 @@ import csv
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from vntoolkit import progress
 from vntoolkit.arrays import Float32Array
-from vntoolkit.errors import BadInput, VntError
-from vntoolkit.geometry.mesh import Mesh, vertex_normals
+from vntoolkit.errors import VntError
+from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.rigid import RigidTransform
-from vntoolkit.io import atomic
 from vntoolkit.io.conventions import graphics_from_camera
 from vntoolkit.io.maps_and_meshes.masks import read_mask
 from vntoolkit.io.recordings.recorded import RecordedFrame, Stamp
-from vntoolkit.options.export import ExportFormat, ExportOptions
-from vntoolkit.pipeline.export import ExportSummary, file_lengths, offset_of, own_mesh
+from vntoolkit.options.export import ExportFormat
+from vntoolkit.pipeline.export import ExportSource, ExportSummary
 from vntoolkit.pipeline.gel_motion import read_displacement_mm
-from vntoolkit.pipeline.opened_result import OpenedResult
-
-if TYPE_CHECKING:
-    from vntoolkit.pipeline.tracked_folder import Tracks
 
 _NS = 1_000_000_000
 _MM = 1000.0  # per metre
 
 
-def export_recording(
-    options: ExportOptions, out: Path | None, result: OpenedResult, track: Tracks | None
-) -> ExportSummary:
+def export_recording(source: ExportSource, out: Path) -> ExportSummary:
     """Write all opened frames into one file; of footage that is gone, without its pictures."""
-    suffix = f".{ExportFormat(options.to).value}"
-    out = out or result.folder.root / "export" / f"surface{suffix}"
-    if out.suffix.lower() != suffix:
-        raise BadInput(f"{out}: expected the name of a file that ends in {suffix}")
-    atomic.require_writable_folder(out.parent)
-    recorded = _Frames(options, result, track).recorded()
-    frames = progress.counted(recorded, "export", len(result.numbers))
-    if options.to is ExportFormat.RRD:
+    frames = progress.counted(_Frames(source).recorded(), "export", len(source.result.numbers))
+    if source.options.to is ExportFormat.RRD:
         from vntoolkit.io.recordings.rerun_file import write_rrd
 
-        count = write_rrd(out, frames, options.up)
-        return ExportSummary(out=out, frames=count, kept=0, is_tracked=track is not None)
+        count = write_rrd(out, frames, source.options.up)
+        return ExportSummary(out=out, frames=count, kept=0, is_tracked=source.track is not None)
     from vntoolkit.io.recordings.mcap_messages import write_mcap
 
     return ExportSummary(out=out, frames=write_mcap(out, frames), kept=0)
@@ -55,20 +41,18 @@ def export_recording(
 class _Frames:
     """Frames of a result as recordings hold them."""
 
-    def __init__(self, options: ExportOptions, result: OpenedResult, track: Tracks | None) -> None:
-        self._options, self._result, self._track = options, result, track
-        has_mesh = options.to is ExportFormat.RRD
-        self._factor = file_lengths(options, result.length_unit).factor if has_mesh else 1.0
-        self._offset = np.zeros(3) if track is None else offset_of(track, options, self._factor)
+    def __init__(self, source: ExportSource) -> None:
+        self._source, self._up = source, source.options.up
+        self._factor = source.lengths.factor if source.options.to is ExportFormat.RRD else 1.0
         try:
-            self._stamps = result.capture.stamps
+            self._stamps = source.result.capture.stamps
         except VntError:
             self._stamps = ()
         self._motions = self._motions_of_object()
 
     def recorded(self) -> Iterator[RecordedFrame]:
         """Yield the opened frames in order."""
-        result, is_rrd = self._result, self._options.to is ExportFormat.RRD
+        result, is_rrd = self._source.result, self._source.options.to is ExportFormat.RRD
         times = result.manifest.input.times_of(result.numbers)
         for number, time_s in zip(result.numbers, times.tolist(), strict=True):
             entry = result.entries.get(number)
@@ -91,32 +75,26 @@ class _Frames:
             )
 
     def _moved_px(self, number: int) -> Float32Array | None:
-        if self._track is None:
-            return None
-        moved_mm = read_displacement_mm(self._track.folder, number)
-        return None if moved_mm is None else moved_mm * np.float32(self._result.camera.matrix[0, 0] / _MM)
+        track = self._source.track
+        moved_mm = None if track is None else read_displacement_mm(track.folder, number)
+        scale = self._source.result.camera.matrix[0, 0] / _MM
+        return None if moved_mm is None else moved_mm * np.float32(scale)
 
     def _mesh(self, number: int) -> Mesh | None:
-        track, options = self._track, self._options
-        if track is None:
-            if not self._result.folder.has(number, "mesh"):
-                return None
-            mesh = own_mesh(self._result, number, options, self._factor)
-        elif number in track.numbers:
-            vertices = track.mesh(number).vertices * self._factor + self._offset
-            template = track.sequence.template
-            mesh = replace(template, vertices=vertices, normals=vertex_normals(vertices, template.faces))
-        else:
+        source = self._source
+        is_tracked = source.track is not None and number in source.track.numbers
+        if not is_tracked and (source.track is not None or not source.result.folder.has(number, "mesh")):
             return None
-        normals = None if mesh.normals is None else graphics_from_camera(mesh.normals, options.up)
-        return replace(mesh, vertices=graphics_from_camera(mesh.vertices, options.up), normals=normals)
+        mesh = source.mesh(number)
+        normals = None if mesh.normals is None else graphics_from_camera(mesh.normals, self._up)
+        return replace(mesh, vertices=graphics_from_camera(mesh.vertices, self._up), normals=normals)
 
     def _motions_of_object(self) -> dict[int, RigidTransform]:
         """Motions of what touches a gel by frame, where `track --object` wrote them and they are known."""
-        path = self._result.folder.root / "track" / "object.csv"
+        path = self._source.result.folder.root / "track" / "object.csv"
         if not path.exists():
             return {}
-        flip = graphics_from_camera(np.eye(3), self._options.up).T
+        flip = graphics_from_camera(np.eye(3), self._up).T
         found = {}
         with path.open(newline="") as stream:
             for row in csv.DictReader(stream):

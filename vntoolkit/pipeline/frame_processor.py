@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from vntoolkit.arrays import BoolArray, Box, Colours, FloatArray, LinearImage, Mask, MaterialLabels, box_of
+from vntoolkit.arrays import BoolArray, Colours, FloatArray, LinearImage, Mask, MaterialLabels, box_of
 from vntoolkit.checks import require_shape
 from vntoolkit.errors import BadInput, NoSubject
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
@@ -17,7 +17,7 @@ from vntoolkit.io.footage.decoding import EncodedFrame, linear_frame_from_encode
 from vntoolkit.io.results.manifest import MaterialEntry
 from vntoolkit.native import keep_freed_memory
 from vntoolkit.normals import expected_error
-from vntoolkit.normals.inversion import normals_from_encoded, normals_from_frame, relative_albedo_from_frame
+from vntoolkit.normals.inversion import normals_from_frame, relative_albedo_from_frame
 from vntoolkit.options.normals import ShadowMethod
 from vntoolkit.options.reconstruction import Product, ReconstructOptions
 from vntoolkit.photometry.frame import LinearFrame
@@ -58,14 +58,14 @@ class Carried:
 class PreparedFrame:
     """A frame in linear light and, where the subject's materials are known, as if all were the rig's.
 
-    mask: (h, w), pixels of interest. linear: None where one loop decodes and inverts the frame. materials:
-    (h, w), their numbers; None where all is the rig's. turned_deg: (h, w), root mean square angles by which
-    what is not known of the materials turns normals; None for 0.
+    mask: (h, w), pixels of interest. materials: (h, w), their numbers; None where all is the rig's.
+    turned_deg: (h, w), root mean square angles by which what is not known of the materials turns normals;
+    None for 0.
     """
 
     frame: EncodedFrame
     mask: Mask
-    linear: LinearFrame | None = None
+    linear: LinearFrame
     materials: MaterialLabels | None = None
     turned_deg: npt.NDArray[np.float32] | None = None
 
@@ -179,7 +179,7 @@ class FrameProcessor:
     def prepared(self, frame: EncodedFrame, matte: Mask | None, carried: Carried) -> PreparedFrame:
         """Return a frame in linear light, and of one material; labels go on from the frame before."""
         mask, linear, materials = self._labelled(frame, matte, carried)
-        if linear is None or materials is None or self._labeller is None or carried.labels is None:
+        if materials is None or self._labeller is None or carried.labels is None:
             return PreparedFrame(frame=frame, mask=mask, linear=linear)
         linear, turned_deg, carried.labels = self._labeller.relit(
             linear, materials, carried.labels, mask, box_of(mask)
@@ -194,14 +194,12 @@ class FrameProcessor:
 
     def _labelled(
         self, frame: EncodedFrame, matte: Mask | None, carried: Carried
-    ) -> tuple[Mask, LinearFrame | None, MaterialLabels | None]:
-        """Return pixels of interest, linear light, None where one loop does all, and materials."""
+    ) -> tuple[Mask, LinearFrame, MaterialLabels | None]:
+        """Return pixels of interest, linear light and materials."""
         require_shape(frame.values, (*self._rig.footage_size[::-1], 3), frame.name)
         mask = self._mask_of(matte)
         if carried.albedo is not None and self.albedo_in(frame, matte, carried.albedo) is None:
             raise _no_subject(frame.name)
-        if self._is_plain(frame):
-            return mask, None, None
         linear = self.linear(frame)
         if self._labeller is None:
             return mask, linear, None
@@ -231,18 +229,14 @@ class FrameProcessor:
         least = self._options.inversion.darkest * usual
         return albedo_in_blocks(frame, self._rig.transfer, self._central, least, self._background, mask)
 
-    def _is_plain(self, frame: EncodedFrame) -> bool:
-        """True where the kernel that decodes and inverts in one pass may be used."""
-        integers = frame.values.dtype in (np.uint8, np.uint16)
-        plain = self._shadows is None and self._background is None and not self._materials
-        return integers and plain and not self._resampler.changes_frames
-
-    def by_strength(self, linear: LinearFrame, box: Box | None = None) -> LinearFrame:
+    def by_strength(self, linear: LinearFrame, mask: Mask | None = None) -> LinearFrame:
         """Return a linear frame with every lamp as strong as at the image's centre.
 
-        box: rows and columns that count; beyond them all is 0. None for all.
+        mask: (h, w), beyond whose box all is 0; None for all.
         """
-        return linear if self._leveller is None else self._leveller.frame_by_strength(linear, box)
+        if self._leveller is None:
+            return linear
+        return self._leveller.frame_by_strength(linear, None if mask is None else box_of(mask))
 
     def lit_subject(self, linear: LinearFrame, mask: Mask | None = None, albedo: float | None = None) -> Mask:
         """Return (h, w), the pixels of interest without the backdrop, whose noise is like dark paint.
@@ -270,8 +264,6 @@ class FrameProcessor:
 
     def _normals(self, prepared: PreparedFrame) -> FrameResult:
         linear, mask = prepared.linear, prepared.mask
-        if linear is None:
-            return self._plain_normals(prepared)
         clipped_share = float(np.count_nonzero(linear.clipped)) / linear.clipped.size
         if self._gel is not None:
             return _result(prepared, self._gel.normals(linear, mask), clipped_share)
@@ -279,7 +271,7 @@ class FrameProcessor:
         if self._leveller is not None and (self._shadows is not None or self._with_errors):
             level = self._leveller.frame(linear, box_of(mask))
         if self._shadows is not None:
-            by_strength = self.by_strength(linear, None if self._leveller is None else box_of(mask))
+            by_strength = self.by_strength(linear, mask)
             normal_map, labels, lamps = self._shadows.normals(level, by_strength, mask)
         else:
             normal_map = normals_from_frame(linear, self._rig.response, mask, options=self._options.inversion)
@@ -294,28 +286,12 @@ class FrameProcessor:
         result = _result(prepared, normal_map, clipped_share)
         return replace(result, labels=labels, lamps=lamps)
 
-    def _plain_normals(self, prepared: PreparedFrame) -> FrameResult:
-        """Decode and invert in one loop."""
-        frame, response, inversion = prepared.frame, self._rig.response, self._options.inversion
-        if not self._with_errors:
-            normal_map = normals_from_encoded(
-                frame.values, response, self._rig.transfer, prepared.mask, inversion, frame.bits
-            )
-            return _result(prepared, normal_map, 0.0)
-        normal_map, clipped_share = expected_error.normals_and_errors_from_encoded(
-            frame.values, response, self._rig.transfer, prepared.mask, camera=self.camera,
-            options=inversion, bits=frame.bits, residual_deg=self._residual_deg,
-            blur_px=self._blur_px, residual_of_pixels=self._residual_of_pixels,
-        )  # fmt: skip
-        return _result(prepared, normal_map, clipped_share)
-
     def unlit_by_lamp(self, frame: EncodedFrame, matte: Mask | None = None) -> list[FloatArray]:
         """Return for each lamp (n, 3), what shadows tell of its direction."""
         assert self._shadows is not None
         linear, mask = self.linear(frame), self._mask_of(matte)
         level = linear if self._leveller is None else self._leveller.frame(linear)
-        by_strength = self.by_strength(linear, None if self._leveller is None else box_of(mask))
-        return self._shadows.unlit_by_lamp(level, by_strength, mask)
+        return self._shadows.unlit_by_lamp(level, self.by_strength(linear, mask), mask)
 
     # Normals → depth → mesh. Frames come in order.
 

@@ -97,7 +97,6 @@ class Gel:
         """
         encoded = self._encoded(frame, "frame")
         prepared = self._processor.prepared(encoded, None, self._carried)
-        assert prepared.linear is not None
         seen = replace(prepared.linear, rgb=prepared.linear.rgb + self._membrane.untouched)
         require_exposed(seen, encoded.name)
         result = self._processor.with_depth(self._processor.normals(prepared), self._carried)

@@ -7,24 +7,21 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from vntoolkit.arrays import FloatArray, Mask, MaterialLabels, Vector3
+from vntoolkit.arrays import Mask, MaterialLabels, Vector3
 from vntoolkit.errors import BadInput
 from vntoolkit.io.results.manifest import MaterialEntry
 from vntoolkit.materials.grey_paint import CLEAR, nats_over_grey, weighed_against_grey
-from vntoolkit.materials.labelling import LabelState, MaterialLabeller
+from vntoolkit.materials.labelling import FrameStatistics, LabelState, MaterialLabeller
 from vntoolkit.materials.relighting import relit
 from vntoolkit.materials.search import (
     WORST_ERROR_DEG,
     Material,
     SearchedFrames,
     find_materials,
-    fitted_again,
     searched_frames,
 )
 from vntoolkit.options.reconstruction import MaterialSearch, ReconstructOptions
 from vntoolkit.photometry.frame import LinearFrame
-from vntoolkit.photometry.levelling import leveller_of
-from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline.frame_processor import FrameProcessor
 from vntoolkit.pipeline.request import Footage
@@ -44,55 +41,49 @@ _APART = 8  # … this far from each other, where there are as many: the subject
 _MOST_UNEXPLAINED_OF_ANY = 0.4  # more, and nothing that was found can be trusted
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _FirstFrame:
-    """One of the frames looked at, and with every lamp as strong as at the centre. subject: (h, w)."""
-
-    frame: LinearFrame
-    by_strength: LinearFrame
-    subject: Mask
-
-
 def first_frames(
     rig: Rig, options: ReconstructOptions, footage: Footage, numbers: Sequence[int]
-) -> Iterator[_FirstFrame]:
-    """Yield the first frame and some in which the subject has moved."""
+) -> Iterator[tuple[LinearFrame, Mask]]:
+    """Yield the first frame and some in which the subject has moved, each with the subject (h, w).
+
+    Every lamp is as strong as at the centre.
+    """
     there, capture = footage.usable(numbers), footage.capture
     step = max(1, min(_APART, (len(there) - 1) // (_LOOKED_AT - 1)))
     looked_at = there[::step][:_LOOKED_AT]
     for encoded in read_ahead(map(capture.encoded, looked_at), len(looked_at)):
         processor = FrameProcessor(rig, options, footage.mattes.of(encoded), capture.background)
         frame = processor.linear(encoded)
-        yield _FirstFrame(
-            frame=frame,
-            by_strength=processor.by_strength(frame),
-            subject=processor.lit_subject(frame),
-        )
+        yield processor.by_strength(frame), processor.lit_subject(frame)
 
 
 def measured_materials(
     rig: Rig, options: ReconstructOptions, footage: Footage, numbers: Sequence[int]
-) -> tuple[list[MaterialEntry], "LabelledFrame | None"]:
-    """Measure the materials on the first frames; return them and the first, labelled, where not all is the
-    rig's.
+) -> tuple[list[MaterialEntry], FrameStatistics | None]:
+    """Measure the materials on the first frames; return them, and where not all is the rig's what the first
+    told of noise and blur.
 
     Logs a warning where the footage cannot tell. Raises `BadInput` where a number of materials is asked for
     that cannot be told.
     """
     response, choice = rig.response, options.materials
-    firsts = list(first_frames(rig, options, footage, numbers))
-    levelled, subjects = zip(*((each.by_strength, each.subject) for each in firsts), strict=True)
+    levelled, subjects = zip(*first_frames(rig, options, footage, numbers), strict=True)
     central = response.central
     count = None if isinstance(choice, MaterialSearch) else choice
     searched = searched_frames(levelled, subjects, central)
     found = _better_than_grey(find_materials(searched, count), searched, count)
     if found:
-        seen = LabelledFrame.by(found, levelled[0], subjects[0], central)
+        values = np.array([each.reflectance.values for each in found])
+        labeller = MaterialLabeller(response=central, reflectances=values)
+        labels, state = labeller.labels(levelled[0], subjects[0], LabelState())
+        seen = LabelledFrame(
+            frame=levelled[0], mask=subjects[0], labeller=labeller, labels=labels, state=state
+        )
         found = _known_apart(found, choice)
         found, pigments = _with_pigments(found, seen)
         found = _explaining(found, pigments, seen, choice)
     if found:
-        return list(map(_entry, weighed_against_grey(found, searched), pigments)), seen
+        return list(map(_entry, weighed_against_grey(found, searched), pigments)), seen.state.statistics
     return [], None
 
 
@@ -112,40 +103,6 @@ def _better_than_grey(found: list[Material], searched: SearchedFrames, count: in
             "the rig's material is taken; %s", REMEDY,
         )  # fmt: skip
     return []
-
-
-def refitted_materials(
-    rig: Rig,
-    options: ReconstructOptions,
-    materials: Sequence[MaterialEntry],
-    footage: Footage,
-    numbers: Sequence[int],
-    first: "LabelledFrame",
-) -> list[MaterialEntry]:
-    """Return the materials, fitted again to what the first frames show under lamps that are near.
-
-    The search takes the lamps' directions at the centre. With labels known, each pixel's own are taken.
-    first: the first frame, labelled by the materials as they were measured.
-    """
-    response, known = rig.response, np.array([entry.reflectance for entry in materials])
-    labeller, subjects = replace(first.labeller, reflectances=known), []
-    far: list[LinearFrame] = []
-    for each in first_frames(rig, options, footage, numbers):
-        labels = first.labels
-        if far:
-            told = LabelState(statistics=first.state.statistics)
-            labels, _ = labeller.labels(each.by_strength, each.subject, told)
-        light = relit(each.frame, response.central, labels, known, mask=each.subject)
-        plain = leveller_of(response, each.subject.shape).frame(light)
-        far.append(relit(plain, response.central, labels, 1.0 / known))
-        subjects.append(each.subject)
-    searched = searched_frames(far, subjects, response.central)
-    found = fitted_again(searched, known)
-    values = np.array([each.reflectance.values for each in found])
-    labeller = replace(labeller, reflectances=values)
-    seen = replace(first, frame=far[0], mask=subjects[0], labeller=labeller)
-    found, pigments = _with_pigments(found, seen)
-    return list(map(_entry, weighed_against_grey(found, searched), pigments))
 
 
 def _known_apart(found: list[Material], choice: MaterialSearch | int) -> list[Material]:
@@ -187,43 +144,14 @@ class LabelledFrame:
     labels: MaterialLabels
     state: LabelState
 
-    @classmethod
-    def by(
-        cls, found: list[Material], frame: LinearFrame, mask: Mask, response: LightResponse
-    ) -> "LabelledFrame":
-        """Label a frame."""
-        values = np.array([each.reflectance.values for each in found])
-        labeller = MaterialLabeller(response=response, reflectances=values)
-        labels, state = labeller.labels(frame, mask, LabelState())
-        return cls(frame=frame, mask=mask, labeller=labeller, labels=labels, state=state)
-
-    @property
-    def response(self) -> LightResponse:
-        """Of the rig."""
-        return self.labeller.response
-
-    def pigments(self) -> list[tuple[Vector3, Vector3] | None]:
-        """Return for each material the line along which it changes and log ρ, or None."""
-        return self.labeller.pigments_of(self.frame, self.mask, self.labels, self.state)
-
-    def relit(self, found: list[Material], pigments: list[Vector3 | None]) -> FloatArray:
-        """Return the colours (n, 3) of some sound pixels as they would be in the rig's material.
-
-        found: the materials again, with their pigments: lines (3,) along which they change, None for none.
-        """
-        values = np.array([each.reflectance.values for each in found])
-        along = np.array([np.zeros(3) if each is None else each for each in pigments])
-        rgb = relit(self.frame, self.response, self.labels, values, along, self.state.seams, self.mask).rgb
-        sound = np.flatnonzero(self.mask & ~self.frame.clipped)
-        return rgb.reshape(-1, 3)[sound[:: max(1, len(sound) // JUDGED)]].astype(np.float64)
-
 
 def _with_pigments(found: list[Material], seen: LabelledFrame) -> tuple[list[Material], list[Vector3 | None]]:
     """Return the materials, and the line (3,) along which each changes, None where it hardly does."""
     if not found:
         return [], []
     materials, pigments = [], []
-    for each, pigment in zip(found, seen.pigments(), strict=True):
+    told = seen.labeller.pigments_of(seen.frame, seen.mask, seen.labels, seen.state)
+    for each, pigment in zip(found, told, strict=True):
         values = each.reflectance.values if pigment is None else np.exp(pigment[1])
         materials.append(replace(each, reflectance=replace(each.reflectance, values=values)))
         pigments.append(None if pigment is None else pigment[0])
@@ -239,7 +167,12 @@ def _explaining(
     """Return the materials; warn where they leave much of a frame unexplained, and return none where most."""
     if not found:
         return found
-    response, rgb = seen.response, seen.relit(found, pigments)
+    response = seen.labeller.response
+    values = np.array([each.reflectance.values for each in found])
+    along = np.array([np.zeros(3) if each is None else each for each in pigments])
+    alike = relit(seen.frame, response, seen.labels, values, along, seen.state.seams, seen.mask)
+    sound = np.flatnonzero(seen.mask & ~seen.frame.clipped)
+    rgb = alike.rgb.reshape(-1, 3)[sound[:: max(1, len(sound) // JUDGED)]].astype(np.float64)
     lamps = rgb @ response.contributions_from_rgb.T
     lit = (lamps > LIT_SHARE * lamps.max(axis=1, keepdims=True)).all(axis=1)
     length = np.linalg.norm((rgb[lit] - response.ambient) @ response.inverse.T, axis=1)

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from vntoolkit.materials.labelling import FrameStatistics
 
 logger = logging.getLogger(__name__)
+_OF_LAMPS = ("light_colours", "light_doubts_deg")  # what shadows tell
 _DIGITS_OF_NEARNESS = 4
 _DIGITS_OF_BLUR = 2
 _SEAM_PX = 2  # to either side of a seam, where pixels are not judged: blur mixes two materials in them
@@ -48,42 +49,30 @@ def prepare(request: Request, footage: Footage, numbers: Sequence[int]) -> Known
     from vntoolkit.pipeline.rig_material import measured_brightness
 
     rig, lamps_in_words = _with_found_lamps(request, footage, numbers)
-    found |= {} if rig is request.rig else _lamps_found(rig)
+    if rig is not request.rig:
+        found |= {name: np.asarray(getattr(rig.response, name)).tolist() for name in _OF_LAMPS}
     found["relative_albedo"], warn_of_other = measured_brightness(rig, options, footage, numbers)
     seeks, seen = seeks_materials(rig, options), None
     if seeks:
-        from vntoolkit.pipeline.measured_materials import measured_materials, refitted_materials
+        from vntoolkit.pipeline.measured_materials import measured_materials
 
         materials, seen = measured_materials(rig, options, footage, numbers)
         found["materials"] = materials
     if seen is None:
         warn_of_other(lamps_in_words)
     else:
-        examined = _examined(request, rig, footage, numbers, materials, seen.state.statistics)
+        examined = _examined(request, rig, footage, numbers, materials, seen)
     if seeks:
         _judge(request, examined)
     if rig.response.variation is None:
         found["nearness"] = round(examined.nearness, _DIGITS_OF_NEARNESS)
-    known = _known(found, steps, examined)
-    near = known.with_rig(request.rig)
-    if seen is None or near.response.variation is None:
-        return known
-    again = refitted_materials(near, options, known.materials, footage, numbers, seen)
-    return known.model_copy(update={"materials": again})
+    return _known(found, steps, examined)
 
 
 def _known(found: dict[str, object], steps: Sequence[Finding], examined: "Examination") -> Known:
     blur_px = round(examined.blur_px, _DIGITS_OF_BLUR)
     findings = [finding.entry for finding in (*steps, *examined.findings)]
     return Known.model_validate(found | {"blur_px": blur_px, "findings": findings})
-
-
-def _lamps_found(rig: Rig) -> dict[str, object]:
-    """Return what shadows told of the lamps, as `Known` holds it."""
-    colours, doubts_deg = rig.response.light_colours, rig.response.light_doubts_deg
-    assert colours is not None
-    assert doubts_deg is not None
-    return {"light_colours": colours.tolist(), "light_doubts_deg": doubts_deg.tolist()}
 
 
 def _surveyed(

@@ -17,11 +17,11 @@ from vntoolkit.arrays import Faces, FloatArray, IntArray, Mask, Points, Points2
 from vntoolkit.errors import VntError
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.mesh import MeshSequence, face_normals, vertex_normals
+from vntoolkit.geometry.rays import RayScene
 from vntoolkit.io.atomic import require_writable_folder, write_text
 from vntoolkit.io.footage.frame_range import sampled
 from vntoolkit.io.footage.image_writing import write_png
 from vntoolkit.io.maps_and_meshes.texture import SurfaceTexture
-from vntoolkit.native import njit
 from vntoolkit.photometry.frame import count_lit
 from vntoolkit.photometry.response import scaled_normals_from_rgb
 from vntoolkit.photometry.transfer import Transfer, TransferCurve, encoded_from_linear
@@ -102,34 +102,14 @@ class Texels:
 
 def texels_of(pixels: Points2, faces: Faces, shape: tuple[int, int]) -> Texels:
     """Return the texels whose centres triangles cover. pixels: (n, 2), centres are integers."""
-    face, shares = np.full(shape, -1, np.int32), np.zeros((*shape, 3))
-    _cover(np.ascontiguousarray(pixels), faces, face, shares)
-    places = np.flatnonzero(face >= 0)
-    return Texels(
-        places=places, faces=face.ravel()[places], shares=shares.reshape(-1, 3)[places], shape=shape
-    )
-
-
-@njit(cache=True)
-def _cover(pixels, faces, face, shares):  # type: ignore[no-untyped-def]
-    height, width = face.shape
-    for f in range(len(faces)):
-        ax, ay = pixels[faces[f, 0]]
-        bx, by = pixels[faces[f, 1]]
-        cx, cy = pixels[faces[f, 2]]
-        area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
-        if area == 0.0:
-            continue
-        first = max(int(np.ceil(min(ay, by, cy))), 0)
-        for row in range(first, min(int(np.floor(max(ay, by, cy))), height - 1) + 1):
-            left = max(int(np.ceil(min(ax, bx, cx))), 0)
-            for column in range(left, min(int(np.floor(max(ax, bx, cx))), width - 1) + 1):
-                b = ((column - ax) * (cy - ay) - (cx - ax) * (row - ay)) / area
-                c = ((bx - ax) * (row - ay) - (column - ax) * (by - ay)) / area
-                if b < 0.0 or c < 0.0 or b + c > 1.0:
-                    continue
-                face[row, column] = f
-                shares[row, column, 0], shares[row, column, 1], shares[row, column, 2] = 1 - b - c, b, c
+    v, u = np.divmod(np.arange(shape[0] * shape[1]), shape[1])
+    centres = np.column_stack([u, v, np.ones(len(u))])
+    flat = np.column_stack([pixels, np.ones(len(pixels))])
+    along_axis = np.broadcast_to([0.0, 0.0, 1.0], centres.shape)
+    hits = RayScene((flat, faces)).first_hits(np.hstack([centres * [1.0, 1.0, 0.0], along_axis]))
+    corners = flat[faces[hits.faces]].transpose(0, 2, 1)
+    shares = np.linalg.solve(corners, centres[hits.rays][..., None])[..., 0]
+    return Texels(places=hits.rays, faces=hits.faces, shares=shares, shape=shape)
 
 
 def texels_in_frame(
