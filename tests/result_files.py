@@ -11,8 +11,8 @@ from vntoolkit.geometry.mesh import MeshSequence
 from vntoolkit.geometry.point_cloud import PointCloud
 from vntoolkit.io.conventions import graphics_from_camera
 from vntoolkit.io.maps_and_meshes.exr import read_exr
-from vntoolkit.io.maps_and_meshes.ply import read_ply
 from vntoolkit.io.results.sequences import MeshSequenceWriter
+from vntoolkit.libraries import import_open3d
 
 
 def write_mesh_sequence(folder: Path | str, sequence: MeshSequence) -> None:
@@ -30,10 +30,10 @@ def read_flow(path: Path | str) -> Flow:
 
 
 def read_point_cloud(path: Path | str) -> PointCloud:
-    """Read the vertices of a PLY, with normals and colours, into the camera frame."""
-    content = read_ply(path)
+    """Read the vertices of a PLY, with normals and colours, into the camera frame: by Open3D."""
+    cloud = import_open3d().io.read_point_cloud(str(path))
     return PointCloud(
-        points=graphics_from_camera(content.vertices),
-        normals=graphics_from_camera(content.normals),
-        colours=content.colours / np.float32(255),
+        points=graphics_from_camera(np.asarray(cloud.points)),
+        normals=graphics_from_camera(np.asarray(cloud.normals)),
+        colours=np.asarray(cloud.colors, dtype=np.float32),
     )

@@ -56,8 +56,8 @@ def test_frames_before_the_damage_and_after_the_next_key_frame_are_as_written(tm
     reader = VideoReader(path)
     assert reader.index.damaged == frozenset(range(14, 24))
     for start, stop in ((0, 14), (24, 30)):
-        for number, values in reader.frames(start, stop):
-            assert np.array_equal(values, frames[number])
+        for frame in reader.frames(start, stop):
+            assert np.array_equal(frame.values, frames[frame.number])
     with pytest.raises(BadCapture, match=re.escape("frame 20 of 30 is damaged: its checksum is wrong")):
         list(reader.frames(20, 21))
 
@@ -72,8 +72,8 @@ def test_damage_in_a_video_of_ours_costs_one_frame(tmp_path, frames):
     reader = VideoReader(path)
     assert reader.index.damaged == frozenset({14})
     for start, stop in ((0, 14), (15, 30)):
-        for number, values in reader.frames(start, stop):
-            assert np.array_equal(values, frames[number])
+        for frame in reader.frames(start, stop):
+            assert np.array_equal(frame.values, frames[frame.number])
 
 
 def test_a_video_without_checksums_is_read(tmp_path, frames):
@@ -81,7 +81,7 @@ def test_a_video_without_checksums_is_read(tmp_path, frames):
     for options in ({"level": "1"}, {"level": "3", "slices": "4", "slicecrc": "0"}):
         path = tmp_path / f"{options['level']}.mkv"
         film(path, frames, **options)
-        read = [values for _, values in VideoReader(path).frames()]
+        read = [frame.values for frame in VideoReader(path).frames()]
         assert np.array_equal(read, frames)
 
 

@@ -22,7 +22,10 @@ def rectangles_mm(path):
         except (ValueError, zlib.error):
             content += zlib.decompress(a85decode(stream.strip().removesuffix(b"~>")))
     found = re.findall(rb"([-\d.]+) ([-\d.]+) ([-\d.]+) ([-\d.]+) re f\*?", content)
-    return np.array(found, dtype=float) * 25.4 / 72
+    across, down, *origin = re.findall(rb"([-\d.]+) 0 0 (-[\d.]+) ([-\d.]+) ([-\d.]+) cm", content)[0]
+    sizes = np.array(found, dtype=float) * np.array([across, down] * 2, dtype=float)
+    sizes[:, :2] += np.array(origin, dtype=float)
+    return sizes * 25.4 / 72
 
 
 def test_squares_and_markers_are_to_scale(tmp_path) -> None:
@@ -34,7 +37,7 @@ def test_squares_and_markers_are_to_scale(tmp_path) -> None:
     assert len(squares) == 61 - 13
     assert len(markers) == len(layout.sound_marker_ids) == 60 - 12
     assert np.ptp(squares[:, 0]) + 14.0 == pytest.approx(layout.width_mm, abs=1e-3)
-    middle = boxes[:, :2].min(axis=0) + layout.width_mm / 2
+    middle = [boxes[:, 0].min() + layout.width_mm / 2, boxes[:, 1].max() - layout.height_mm / 2]
     np.testing.assert_allclose(middle, np.array(PageSize.LETTER.value) / 2, atol=1e-3)
 
 

@@ -201,7 +201,7 @@ def try_video() -> None:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "noise.mkv"
         write_video(path, list(frames), 25)
-        found = np.stack([values for _, values in VideoReader(path).frames()])
+        found = np.stack([frame.values for frame in VideoReader(path).frames()])
     if not np.array_equal(found, frames):
         raise BadCapture("a lossless video came back with other values than were written")
 
@@ -213,8 +213,8 @@ def _stated_and_done(report: CaptureReport) -> list[tuple[str, str, str]]:
     if info.stated_transfer not in ("", curve):
         done += ", as --transfer or the rig says"
     rows = [("transfer curve", info.stated_transfer or "nothing", done)]
-    if info.conversion.taken:
-        rows.append(("YUV matrix", info.conversion.stated, f"converted by {info.conversion.taken}"))
+    if info.taken_yuv:
+        rows.append(("YUV matrix", info.stated_yuv, f"converted by {info.taken_yuv}"))
     if info.chroma == "Bayer":
         rows.append(("mosaic", info.pixel_format, "demosaiced, without white balance or camera matrix"))
     turned = ("turned", f"{info.orientation}; the rig's size is the upright picture's")

@@ -23,7 +23,7 @@ from rich.text import Text
 from vntoolkit import progress
 from vntoolkit.errors import BadInput, CannotWrite, VntError, escaped
 from vntoolkit.io.atomic import cannot_write, write_text
-from vntoolkit.io.files import parse_json, read_text
+from vntoolkit.io.files import read_json
 
 _WIDE = 200
 _SUBJECT = ("measured", "mesh", "reference")  # keys of an evaluation that say of what it is
@@ -100,7 +100,7 @@ def write_json(path: Path, content: Any) -> None:
     Says so where it takes the place of the evaluation of another subject.
     """
     with contextlib.suppress(OSError, VntError):
-        before = parse_json(read_text(path), str(path))
+        before = read_json(path)
         subjects = [
             " against ".join(str(found[key]) for key in _SUBJECT if found.get(key))
             for found in (before, content)

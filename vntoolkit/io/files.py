@@ -11,7 +11,6 @@ import os
 import stat
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
 from io import BufferedReader
 from pathlib import Path
 from typing import Any
@@ -128,6 +127,11 @@ def source_file(path: Path | str) -> SourceFile:
     return SourceFile(file=Path(path).name, sha256=sha256_of_file(path))
 
 
+def read_json(path: Path | str, error: type[BadInput] = BadInput, expected: str = "a JSON file") -> Any:
+    """Read a JSON file; raise `error` as `read_text` and `parse_json` do."""
+    return parse_json(read_text(path, error, expected), str(path), error, expected)
+
+
 def parse_json(text: str, name: str, error: type[BadInput] = BadInput, expected: str = "a JSON file") -> Any:
     """Return the content of a JSON text; raise `error` if it is invalid or nested too deeply.
 
@@ -142,23 +146,19 @@ def parse_json(text: str, name: str, error: type[BadInput] = BadInput, expected:
         ) from problem
     except RecursionError as problem:
         raise error(f"{name}: its brackets are nested too deeply for any file of this program") from problem
-    except _DuplicateKeyError as problem:
-        raise error(f"{name}: the key {str(problem)[:80]!r} stands there twice; keep one") from problem
+    except KeyError as problem:
+        raise error(f"{name}: the key {problem.args[0][:80]!r} stands there twice; keep one") from problem
     except ValueError as problem:  # an integer of thousands of digits
         raise error(
             f"{name}: expected {expected}, but this is not JSON: {str(problem).split(';')[0][:200]}"
         ) from problem
 
 
-class _DuplicateKeyError(ValueError):
-    """A JSON object has a key twice."""
-
-
 def _without_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     found = dict(pairs)
     if len(found) != len(pairs):
         keys = [key for key, _ in pairs]
-        raise _DuplicateKeyError(next(key for key in keys if keys.count(key) > 1))
+        raise KeyError(next(key for key in keys if keys.count(key) > 1))
     return found
 
 
@@ -172,7 +172,7 @@ def reading_limits() -> ReadingLimits:
     return _current[-1]
 
 
-@contextmanager
+@contextlib.contextmanager
 def limited_to(limits: ReadingLimits) -> Iterator[None]:
     """Read within other limits in this block, on all threads of this process."""
     _current.append(limits)

@@ -28,7 +28,7 @@ from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.geometry.mesh import MeshSequence
 from vntoolkit.integration.integrate import DepthIntegrator
 from vntoolkit.io.atomic import write_text
-from vntoolkit.io.files import parse_json, read_text, require_file
+from vntoolkit.io.files import read_json, require_file
 from vntoolkit.io.maps_and_meshes.arrays import map_npy, read_npz
 from vntoolkit.io.maps_and_meshes.maps import read_normal_map
 from vntoolkit.io.maps_and_meshes.masks import read_mask
@@ -188,7 +188,7 @@ class CylinderTruth:
     def poses(self) -> FloatArray:
         """(frames, 4, 4) camera_from_object."""
         path = self.folder.truth / "poses.json"
-        content = parse_json(read_text(path), str(path))
+        content = read_json(path)
         try:
             poses = np.array(content["camera_from_object"], dtype=np.float64)
         except (KeyError, TypeError, ValueError) as error:
@@ -200,7 +200,7 @@ class CylinderTruth:
     def radius_m(self) -> float:
         """Radius in metres."""
         path = self.folder.truth / "scene.json"
-        content = parse_json(read_text(path), str(path))
+        content = read_json(path)
         try:
             scene, facts = content["scene"], content["facts"]
             if scene == "cylinder":

@@ -14,7 +14,7 @@ from vntoolkit.arrays import Colours, Points
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.mesh import Mesh, MeshSequence
-from vntoolkit.io.files import parse_json, read_text
+from vntoolkit.io.files import read_json
 from vntoolkit.io.results.folder import FolderKind, flat
 from vntoolkit.io.results.numbered_files import remove_if_empty
 from vntoolkit.io.results.sequences import SEQUENCE_FILES, read_mesh_sequence
@@ -107,7 +107,7 @@ def read_track_record(folder: Path) -> dict[str, Any]:
     path = folder / _RECORD
     if not path.exists():
         raise BadInput(f"{folder}: holds no {_RECORD}; give a folder that `vntoolkit track` has worked on")
-    match parse_json(read_text(path), str(path)):
+    match read_json(path):
         case {"frames": [*numbers], "template": int()} as record if all(isinstance(n, int) for n in numbers):
             return record
     raise BadInput(f"{path}: expected an object with frames, a list of numbers, and template, a number")

@@ -17,7 +17,7 @@ import numpy as np
 
 from vntoolkit.errors import BadInput
 from vntoolkit.io.atomic import write_text
-from vntoolkit.io.files import parse_json, read_text
+from vntoolkit.io.files import read_json, read_text
 from vntoolkit.io.footage.image_writing import resized_image
 from vntoolkit.io.footage.images import read_image
 from vntoolkit.report import page
@@ -64,7 +64,7 @@ def read_numbers(folder: Path) -> list[RecipeNumber]:
     path = folder / NUMBERS_NAME
     if not path.exists():
         return []
-    rows = parse_json(read_text(path), str(path))
+    rows = read_json(path)
     if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
         raise BadInput(f"{path}: expected a list of objects with the keys {', '.join(sorted(_KEYS))}")
     for row in rows:

@@ -3,7 +3,6 @@
 from pathlib import Path
 
 import av
-import cv2
 import numpy as np
 import pytest
 
@@ -67,25 +66,6 @@ def test_luma_takes_back_what_it_can_tell(tmp_path, rng, codec, depth, curve):
     assert costs[True][0] > 2
     assert costs[True][1] < 0.66 * costs[True][0]
     assert costs[False][1] < costs[False][0] + 0.02
-
-
-def test_the_edge_against_the_dark_keeps_the_colour_of_the_subject(tmp_path):
-    """Luma falls there since less light arrives, and chroma with it: no normal turns."""
-    transfer = Transfer.from_text("linear")
-    v, u = np.mgrid[: SIZE[0], : SIZE[1]].astype(float)
-    covered = np.clip(36.0 - np.hypot(v - 47.5, (u - 79.5) / 2), 0, 1)
-    normal = np.array([0.35, -0.3, -1.0]) / np.linalg.norm([0.35, -0.3, -1.0])
-    light = covered[..., None] * rgb_from_normals(normal, RESPONSE)
-    _film(tmp_path / "a.mkv", light, transfer, "libx264", "yuv420p")
-    edge = (covered > 0.3) & (cv2.dilate(1 - covered, np.ones((5, 5))) > 0.5)
-
-    def error_deg(response: LightResponse | None) -> float:
-        options = CaptureOptions(transfer=transfer, response=response)
-        found = open_capture(tmp_path / "a.mkv", options).frame(0).rgb @ RESPONSE.inverse.T
-        found /= np.linalg.norm(found, axis=-1, keepdims=True)
-        return float(np.rad2deg(np.arccos((found @ normal).clip(-1, 1)))[edge].mean())
-
-    assert error_deg(RESPONSE) < 0.75 * error_deg(None)
 
 
 @pytest.mark.parametrize("pixels", ["yuv422p", "yuv440p", "yuv420p", "yuv422p10le"])

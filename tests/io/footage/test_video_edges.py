@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from vntoolkit.errors import BadCapture, BadInput
-from vntoolkit.io.footage.captures import open_capture
+from vntoolkit.io.footage.captures import CaptureOptions, open_capture
 from vntoolkit.io.footage.video import VideoReader, open_video, write_video
 
 
@@ -21,8 +21,8 @@ def _noise(rng, count, height, width, dtype=np.uint8):
 def test_small_and_odd_pictures_are_lossless(tmp_path, rng, size, dtype):
     frames = _noise(rng, 3, *size, dtype)
     write_video(tmp_path / "a.mkv", frames, 25)
-    for number, values in VideoReader(tmp_path / "a.mkv").frames():
-        np.testing.assert_array_equal(values, frames[number])
+    for frame in VideoReader(tmp_path / "a.mkv").frames():
+        np.testing.assert_array_equal(frame.values, frames[frame.number])
 
 
 @pytest.mark.parametrize(
@@ -69,8 +69,8 @@ def _write_video_with_broken_tags(path, frames):
 def test_tags_that_are_no_utf8_keep_no_video_from_opening(tmp_path, rng):
     frames = _noise(rng, 2, 16, 24)
     _write_video_with_broken_tags(tmp_path / "a.mkv", frames)
-    for number, values in VideoReader(tmp_path / "a.mkv").frames():
-        np.testing.assert_array_equal(values, frames[number])
+    for frame in VideoReader(tmp_path / "a.mkv").frames():
+        np.testing.assert_array_equal(frame.values, frames[frame.number])
 
 
 def _open_as_18(name, *, options, metadata_errors="strict"):
@@ -99,7 +99,7 @@ def test_videos_open_with_every_pyav_that_the_lock_names(monkeypatch, behaviour)
 def test_frames_left_out_are_not_decoded(tmp_path, rng, monkeypatch, part):
     frames = _noise(rng, 12, 16, 24)
     write_video(tmp_path / "a.mkv", frames, 25)
-    reader, decoded = VideoReader(tmp_path / "a.mkv", threads=1), []
+    reader, decoded = VideoReader(tmp_path / "a.mkv", CaptureOptions(threads=1)), []
     plain = reader._decoded
 
     def counted(*arguments, **how):
@@ -108,12 +108,12 @@ def test_frames_left_out_are_not_decoded(tmp_path, rng, monkeypatch, part):
             yield shown
 
     monkeypatch.setattr(reader, "_decoded", counted)
-    read = dict(reader.frames(*part))
+    read = {frame.number: frame.values for frame in reader.frames(*part)}
     assert list(read) == list(range(12))[slice(*part)]
     assert len(decoded) == len(read)
     for number, values in read.items():
         np.testing.assert_array_equal(values, frames[number])
-    np.testing.assert_array_equal(dict(reader.frames(3, 5))[4], frames[4])
+    np.testing.assert_array_equal(list(reader.frames(3, 5))[1].values, frames[4])
 
 
 @pytest.mark.parametrize(

@@ -1,26 +1,30 @@
 """Captures: a video, an image, a folder of images or a pattern, read as linear colour frames."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from vntoolkit.arrays import Array, LinearImage
+from vntoolkit.arrays import LinearImage
 from vntoolkit.checks import require_positive, require_shape
 from vntoolkit.display import Displayed, Facts, Picture
 from vntoolkit.errors import BadCapture, BadInput
-from vntoolkit.io.footage.decoding import EncodedFrame, YuvConversion, linear_frame_from_encoded
+from vntoolkit.io.footage.decoding import EncodedFrame, linear_frame_from_encoded
 from vntoolkit.io.footage.frame_range import FrameRange
-from vntoolkit.io.footage.sequence import CaptureKind, find_capture_files, text_of_names
+from vntoolkit.io.footage.sequence import (
+    CaptureFiles,
+    CaptureKind,
+    find_capture_files,
+    text_of_names,
+)
 from vntoolkit.options.footage import Gaps, SensorOptions
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.transfer import Transfer
 
 if TYPE_CHECKING:
-    from vntoolkit.io.footage.video import VideoReader
     from vntoolkit.io.recordings.recorded import Stamp
 
 
@@ -56,26 +60,22 @@ class CaptureOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
-class CaptureInfo:
-    """What a capture holds.
+class CaptureInfo(CaptureFiles):
+    """What a capture holds, beside its files.
 
     width, height: pixels. frame_count: frames that can be read, and gaps in an image sequence. frame_rate_hz:
-    per second, None for stills. pixel_format:
-    FFmpeg's name, or such as `PNG 16-bit`. bits: significant bits of an integer sample (32: float). codec:
-    of the video, or the image format. chroma: `4:4:4`, `4:2:2`, `4:2:0`, `grey`, `Bayer`. files: all of it.
-    numbers: of the frame that each file of a sequence is. missing: names of missing files by frame number.
-    stated: number in the name of each file of a sequence, where it counts frames; else empty. left_out:
-    images of the folder that are no frames. promised_frame_count: what the header declares; more
-    than frame_count means that the video is cut off. stated_transfer: the curve that the file states, as
-    `Transfer` reads it where it can be undone; empty for none. conversion: of YUV to RGB. orientation: what
-    was done to turn the frames upright, empty for nothing; width and height are those of the upright picture.
-    times_s: when each frame of a video of varying rate is shown, seconds from the first; empty for an even
-    rate. unusable_times: what is wrong with the times that a video states, empty for nothing.
-    stated_focal_px: focal length that a photograph states, as that of a picture of 24×36 mm with the same
-    diagonal; None for none.
+    per second, None for stills. pixel_format: FFmpeg's name, or such as `PNG 16-bit`. bits: significant bits
+    of an integer sample (32: float). codec: of the video, or the image format. chroma: `4:4:4`, `4:2:2`,
+    `4:2:0`, `grey`, `Bayer`. promised_frame_count: what the header declares; more than frame_count means that
+    the video is cut off. stated_transfer: the curve that the file states, as `Transfer` reads it where it can
+    be undone; empty for none. stated_yuv, taken_yuv: matrix and range, as the file states them and as they
+    are taken; empty for no YUV. orientation: what was done to turn the frames upright, empty for nothing;
+    width and height are those of the upright picture. times_s: when each frame of a video of varying rate is
+    shown, seconds from the first; empty for an even rate. unusable_times: what is wrong with the times that a
+    video states, empty for nothing. stated_focal_px: focal length that a photograph states, as that of a
+    picture of 24×36 mm with the same diagonal; None for none.
     """
 
-    kind: CaptureKind
     width: int
     height: int
     frame_count: int
@@ -84,47 +84,47 @@ class CaptureInfo:
     bits: int
     codec: str
     chroma: str
-    files: tuple[Path, ...]
     promised_frame_count: int
     stated_transfer: str = ""
-    conversion: YuvConversion = field(default_factory=YuvConversion)
+    stated_yuv: str = ""
+    taken_yuv: str = ""
     orientation: str = ""
     times_s: tuple[float, ...] = ()
     unusable_times: str = ""
-    numbers: tuple[int, ...] = ()
-    missing: Mapping[int, str] = field(default_factory=dict)
-    left_out: tuple[Path, ...] = ()
-    stated: tuple[int, ...] = ()
     stated_focal_px: float | None = None
 
 
 class FrameReader(Protocol):
-    """Reads the frames of a video or a recording by their numbers."""
+    """Reads the frames of a video, of images or of a recording by their numbers."""
 
-    def frames(self, start: int = 0, stop: int | None = None, step: int = 1) -> Iterator[tuple[int, Array]]:
-        """Yield (number, RGB array)."""
+    @property
+    def info(self) -> CaptureInfo:
+        """What they hold."""
+        ...
+
+    def frames(self, start: int = 0, stop: int | None = None, step: int = 1) -> Iterator[EncodedFrame]:
+        """Yield those that are there."""
         ...
 
     def nearest_key_frame(self, number: int) -> int:
-        """Return the nearest frame that needs no other to be decoded."""
+        """Return the nearest frame that is there and needs no other to be decoded."""
         ...
 
 
 class Capture(Displayed):
     """An opened capture. Frames are decoded one at a time, from any frame on.
 
-    transfer: curve and levels that its stored values are read with.
+    transfer: curve and levels that its stored values are read with. background: the linear background that
+    `frames` subtracts, (h, w, 3), or None.
     """
 
-    def __init__(
-        self, info: CaptureInfo, options: CaptureOptions, reader: "FrameReader | None", name: str
-    ) -> None:
-        self.info = info
+    def __init__(self, reader: FrameReader, options: CaptureOptions, name: str) -> None:
+        self.info = reader.info
         self.options = options
-        self.transfer = options.transfer or _stated_transfer(info, name)
+        self.transfer = options.transfer or _stated_transfer(self.info, name)
         self.name = name
         self._reader = reader
-        self._background = self._read_background()
+        self.background = self._read_background()
 
     def __len__(self) -> int:
         return self.info.frame_count
@@ -145,19 +145,14 @@ class Capture(Displayed):
     def _picture(self) -> Picture | None:
         return self.frame(self.present[0])._picture() if len(self.present) else None
 
-    @property
-    def background(self) -> LinearImage | None:
-        """The linear background that `frames` subtracts, (h, w, 3), or None."""
-        return self._background
-
     def frames(self, start: int = 0, stop: int | None = None, step: int = 1) -> Iterator[LinearFrame]:
         """Yield the linear frames start, start + step, … below stop; raise `BadCapture` on a bad one."""
         for frame in self.encoded_frames(start, stop, step):
-            yield linear_frame_from_encoded(frame, self.transfer, self._background)
+            yield linear_frame_from_encoded(frame, self.transfer, self.background)
 
     def frame(self, number: int) -> LinearFrame:
         """Return one linear frame; raise `BadCapture` where its file is missing."""
-        return linear_frame_from_encoded(self.encoded(number), self.transfer, self._background)
+        return linear_frame_from_encoded(self.encoded(number), self.transfer, self.background)
 
     def encoded(self, number: int) -> EncodedFrame:
         """Return one frame as stored; raise `BadCapture` where its file is missing."""
@@ -169,7 +164,7 @@ class Capture(Displayed):
     @property
     def present(self) -> Sequence[int]:
         """Numbers of the frames that are there, ascending."""
-        return range(len(self)) if self._reader is not None else self.info.numbers
+        return self.info.numbers or range(len(self))
 
     def encoded_frames(
         self, start: int = 0, stop: int | None = None, step: int = 1
@@ -179,23 +174,15 @@ class Capture(Displayed):
         A frame whose file is missing is left out.
         """
         FrameRange(start=start, stop=stop, step=step).numbers(self.info.frame_count)
-        if self._reader is None:
-            yield from _frames_of_images(self.info, self.options, start, stop, step)
-            return
-        for number, values in self._reader.frames(start, stop, step):
-            yield EncodedFrame(
-                values=values, bits=self.info.bits, number=number, name=f"{self.name}, frame {number}"
-            )
+        return self._reader.frames(start, stop, step)
 
     def readable_alone(self, number: int, within: int) -> int:
         """Return the nearest frame, at most `within` away, that needs no other to be decoded, or `number`.
 
         For a frame whose file is missing, the nearest one that is there.
         """
-        if self._reader is None:
-            return min(self.info.numbers, key=lambda there: abs(there - number))
         nearest = self._reader.nearest_key_frame(number)
-        return nearest if abs(nearest - number) <= within else number
+        return nearest if abs(nearest - number) <= within or number in self.info.missing else number
 
     @property
     def stamps(self) -> "tuple[Stamp, ...]":
@@ -240,64 +227,27 @@ def open_capture(source: Path | str, options: CaptureOptions | None = None) -> C
     """
     options = options or CaptureOptions()
     found = find_capture_files(source)
-    if found.topic is not None:
-        from vntoolkit.io.recordings.mcap_footage import RecordingReader, info_of_recording
-
-        recording = RecordingReader(found.files[0], found.topic, options)
-        return Capture(info_of_recording(recording, options.frame_rate_hz), options, recording, str(source))
-    if found.kind is CaptureKind.VIDEO:
-        reader = _video_reader(found.files[0], options)
-        return Capture(_info_of_video(reader, options.frame_rate_hz), options, reader, str(source))
     if found.missing and options.gaps is Gaps.REFUSE:
         raise BadCapture(
             f"{source}: {len(found.missing)} of {found.numbers[-1] + 1} files of the sequence are missing: "
             f"{text_of_names(list(found.missing.values()))}; copy them too; `reconstruct` and `session` go "
             "on without them by --gaps skip, and the other frames keep their numbers"
         )
-    from vntoolkit.io.footage.image_sequence import info_of_images
-
-    return Capture(info_of_images(found, options), options, None, str(source))
+    return Capture(_reader(found, options), options, str(source))
 
 
-def _video_reader(path: Path, options: CaptureOptions) -> "VideoReader":
-    from vntoolkit.io.footage.luma_detail import LumaDetail
-    from vntoolkit.io.footage.video import VideoReader
+def _reader(found: CaptureFiles, options: CaptureOptions) -> FrameReader:
+    if found.topic is not None:
+        from vntoolkit.io.recordings.mcap_footage import RecordingReader
 
-    detail = None
-    if options.response is not None and options.transfer is not None:
-        detail = LumaDetail(options.response, options.transfer)
-    return VideoReader(
-        path,
-        max_megapixels=options.max_megapixels,
-        threads=options.threads,
-        takes_codes=options.transfer is not None and options.transfer.takes_codes,
-        sensor=options.sensor,
-        detail=detail,
-    )
+        return RecordingReader(found.files[0], found.topic, options)
+    if found.kind is CaptureKind.VIDEO:
+        from vntoolkit.io.footage.video import VideoReader
 
+        return VideoReader(found.files[0], options)
+    from vntoolkit.io.footage.image_sequence import ImageReader
 
-def _info_of_video(reader: "VideoReader", rate_hz: float | None) -> CaptureInfo:
-    from vntoolkit.io.footage.video import Timing
-
-    timing = reader.timing if rate_hz is None else Timing(rate_hz=rate_hz)
-    return CaptureInfo(
-        kind=CaptureKind.VIDEO,
-        width=reader.width,
-        height=reader.height,
-        frame_count=len(reader.index.times),
-        frame_rate_hz=timing.rate_hz,
-        pixel_format=reader.pixel_format.name,
-        bits=reader.bits,
-        codec=reader.codec,
-        chroma=reader.chroma,
-        files=(reader.path,),
-        promised_frame_count=reader.index.promised,
-        stated_transfer=reader.stated.transfer,
-        conversion=reader.conversion,
-        orientation=reader.stated.orientation.text,
-        times_s=timing.uneven_s,
-        unusable_times=timing.unusable,
-    )
+    return ImageReader(found, options)
 
 
 def _stated_transfer(info: CaptureInfo, name: str) -> Transfer:
@@ -315,11 +265,3 @@ def _stated_transfer(info: CaptureInfo, name: str) -> Transfer:
             "linear; save linear ones, or 16 bits"
         )
     return transfer
-
-
-def _frames_of_images(
-    info: CaptureInfo, options: CaptureOptions, start: int, stop: int | None, step: int
-) -> Iterator[EncodedFrame]:
-    from vntoolkit.io.footage.image_sequence import frames_of_images
-
-    return frames_of_images(info, options, start, stop, step)

@@ -15,14 +15,6 @@ from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import Transfer, decoding_table
 
 
-@dataclass(frozen=True, kw_only=True)
-class YuvConversion:
-    """What a stream states of its YUV matrix and range, and what is taken: both as text, empty for no YUV."""
-
-    stated: str = ""
-    taken: str = ""
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class EncodedFrame:
     """One frame as stored.

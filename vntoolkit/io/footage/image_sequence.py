@@ -1,6 +1,7 @@
 """Images as the frames of a capture: PNG, TIFF and the like, or camera raw files."""
 
 from collections.abc import Iterator
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -14,70 +15,72 @@ from vntoolkit.io.footage.mosaics import DecodedImage
 from vntoolkit.io.footage.sequence import CaptureFiles
 
 
-def info_of_images(found: CaptureFiles, options: CaptureOptions) -> CaptureInfo:
-    """Return what images hold, by the first of them."""
-    files = found.files
-    first = _read(files[0], options)
-    header = first.header
-    height, width = first.colours.shape[:2]
-    grey = "Bayer" if options.sensor.bayer or header.bayer else "grey"
-    return CaptureInfo(
-        kind=found.kind,
-        width=width,
-        height=height,
-        frame_count=found.numbers[-1] + 1,
-        frame_rate_hz=options.frame_rate_hz,
-        pixel_format=header.text,
-        bits=_bits(first.colours, options, files[0]),
-        codec=header.format if header.saturation is None else "raw",
-        chroma=grey if header.channels < 3 else header.chroma,
-        files=files,
-        promised_frame_count=found.numbers[-1] + 1,
-        stated_transfer=header.stated.transfer,
-        stated_focal_px=header.stated.focal_px,
-        orientation=header.stated.orientation.text,
-        numbers=found.numbers,
-        missing=found.missing,
-        left_out=found.left_out,
-        stated=found.stated,
-    )
+class ImageReader:
+    """Frames of a capture of which each is a file of its own. Raises `BadCapture`."""
 
+    def __init__(self, found: CaptureFiles, options: CaptureOptions) -> None:
+        self._found, self._options = found, options
 
-def frames_of_images(
-    info: CaptureInfo, options: CaptureOptions, start: int, stop: int | None, step: int
-) -> Iterator[EncodedFrame]:
-    """Yield the frames start, start + step, … below stop as stored; raise `BadCapture` on a bad one."""
-    wanted = range(info.frame_count)[start:stop:step]
-    for number, path in zip(info.numbers, info.files, strict=True):
-        if number not in wanted:
-            continue
-        image = _read(path, options)
-        values, stated = image.rgb, image.header.stated.transfer
-        height, width = values.shape[:2]
-        if (width, height) != (info.width, info.height):
-            raise BadCapture(
-                f"{path}: frame {number} is {width}×{height}, the first one {info.width}×{info.height}: a "
-                "capture has one size"
-            )
-        if stated != info.stated_transfer:
-            own, first = (curve or "none" for curve in (stated, info.stated_transfer))
-            raise BadCapture(
-                f"{path}: frame {number} states the transfer curve {own}, the first one {first}: a capture "
-                "has one curve"
-            )
-        bits = _bits(values, options, path)
-        yield EncodedFrame(values=values, bits=bits, number=number, name=str(path))
+    @cached_property
+    def info(self) -> CaptureInfo:
+        """What the images hold, by the first of them."""
+        found, options = self._found, self._options
+        first = self._read(found.files[0])
+        header = first.header
+        height, width = first.colours.shape[:2]
+        grey = "Bayer" if options.sensor.bayer or header.bayer else "grey"
+        return CaptureInfo(
+            **vars(found),
+            width=width,
+            height=height,
+            frame_count=found.numbers[-1] + 1,
+            frame_rate_hz=options.frame_rate_hz,
+            pixel_format=header.text,
+            bits=self._bits(first.colours, found.files[0]),
+            codec=header.format if header.saturation is None else "raw",
+            chroma=grey if header.channels < 3 else header.chroma,
+            promised_frame_count=found.numbers[-1] + 1,
+            stated_transfer=header.stated.transfer,
+            stated_focal_px=header.stated.focal_px,
+            orientation=header.stated.orientation.text,
+        )
 
+    def nearest_key_frame(self, number: int) -> int:
+        """Return the nearest frame that is there."""
+        return min(self._found.numbers, key=lambda there: abs(there - number))
 
-def _read(path: Path, options: CaptureOptions) -> DecodedImage:
-    return read_opaque_image(path, max_megapixels=options.max_megapixels, sensor=options.sensor)
+    def frames(self, start: int = 0, stop: int | None = None, step: int = 1) -> Iterator[EncodedFrame]:
+        """Yield the frames start, start + step, … below stop that are there."""
+        info = self.info
+        wanted = range(info.frame_count)[start:stop:step]
+        for number, path in zip(info.numbers, info.files, strict=True):
+            if number not in wanted:
+                continue
+            image = self._read(path)
+            values, stated = image.rgb, image.header.stated.transfer
+            height, width = values.shape[:2]
+            if (width, height) != (info.width, info.height):
+                raise BadCapture(
+                    f"{path}: frame {number} is {width}×{height}, the first one {info.width}×{info.height}: "
+                    "a capture has one size"
+                )
+            if stated != info.stated_transfer:
+                own, first = (curve or "none" for curve in (stated, info.stated_transfer))
+                raise BadCapture(
+                    f"{path}: frame {number} states the transfer curve {own}, the first one {first}: a "
+                    "capture has one curve"
+                )
+            yield EncodedFrame(values=values, bits=self._bits(values, path), number=number, name=str(path))
 
+    def _read(self, path: Path) -> DecodedImage:
+        options = self._options
+        return read_opaque_image(path, max_megapixels=options.max_megapixels, sensor=options.sensor)
 
-def _bits(values: Array, options: CaptureOptions, path: Path | str) -> int:
-    if values.dtype == np.float32:
-        return 32
-    stored = values.dtype.itemsize * 8
-    bits = options.sensor.bits
-    if bits is not None and bits > stored:
-        raise BadCapture(f"{path}: samples of {stored} bits cannot hold {bits}; give bits up to {stored}")
-    return bits or stored
+    def _bits(self, values: Array, path: Path) -> int:
+        if values.dtype == np.float32:
+            return 32
+        stored = values.dtype.itemsize * 8
+        bits = self._options.sensor.bits
+        if bits is not None and bits > stored:
+            raise BadCapture(f"{path}: samples of {stored} bits cannot hold {bits}; give bits up to {stored}")
+        return bits or stored

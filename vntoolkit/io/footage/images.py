@@ -23,7 +23,7 @@ from vntoolkit.io.footage import mosaics
 from vntoolkit.io.footage.colour_profiles import bt709_from, curve_of_lights, curve_of_profile
 from vntoolkit.io.footage.image_writing import in_other_order
 from vntoolkit.io.footage.mosaics import DecodedImage, ImageHeader
-from vntoolkit.io.footage.orientation import UPRIGHT, Orientation
+from vntoolkit.io.footage.orientation import Orientation
 from vntoolkit.io.footage.stated import (
     TRANSFER_NAMES,
     Stated,
@@ -118,7 +118,7 @@ def decode_image(
     if bayer is not None and sensor is not None:
         if pixels.ndim != 2:
             raise BadCapture(f"{path}: --bayer needs one sample a pixel, got {pixels.shape[2]}; leave it out")
-        if header.format == "TIFF" and turn != UPRIGHT:  # the pattern would be turned with it
+        if header.format == "TIFF" and turn is not Orientation.UPRIGHT:  # the pattern would be turned with it
             raise BadCapture(f"{path}: is a Bayer mosaic that is to be shown turned; save it upright")
         rgb = mosaics.rgb_from_mosaic(pixels, bayer, sensor.demosaic, str(path))
         return DecodedImage(colours=turn.upright(rgb), alpha=None, header=header)
@@ -305,7 +305,7 @@ def _stated_by(image: Any, codes: bytes, curve: str) -> Stated:
     codes: of a PNG's cICP chunk, empty for none. curve: that a BMP's header states, or empty.
     """
     said = image.info
-    turn, transfer, focal_mm = UPRIGHT, curve, 0.0
+    turn, transfer, focal_mm = Orientation.UPRIGHT, curve, 0.0
     density = said.get("aspect") or said.get("dpi") or (1, 1)
     if said.get("jfif_unit") == 0:
         density = said["jfif_density"]
@@ -341,7 +341,7 @@ def _stated_by_exif(exif: Any) -> tuple[Orientation, str, float]:
         curve = "gamma:2.199"  # 563 / 256
     if more.get(_COLOUR_SPACE) == _SRGB:
         curve = "srgb"
-    turn = Orientation.from_exif(value) if isinstance(value, int) else UPRIGHT
+    turn = Orientation.from_exif(value) if isinstance(value, int) else Orientation.UPRIGHT
     return turn, curve, float(more.get(_FOCAL_35MM, 0))
 
 

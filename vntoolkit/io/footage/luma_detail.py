@@ -10,10 +10,6 @@ along G and across it are s cos φ and s sin φ. As functions of φ, weighted by
 a + b cos 2φ and c sin 2φ to the first order: three filters of the detail, of which two are second
 differences. Chroma changes with the slopes. Luma is kept exactly; where G is small so is the change, and
 plain decoding is left. Chroma is taken to lie in the middle of the luma that it covers.
-
-Where the subject ends against the dark, detail is neither: less light arrives, and chroma falls with luma.
-Samples of chroma that lie across the edge hold both sides in the same shares as their luma, so that chroma
-over luma is the subject's.
 """
 
 import cv2
@@ -28,9 +24,6 @@ from vntoolkit.photometry.transfer import Transfer, linear_from_encoded
 _NOISE_OVER_DETAIL = 0.01
 _CODES = 1024  # of the decoding table
 _DARKEST = 1e-3  # of M's own brightness: no direction is known below
-# Luma beside a place over the greatest there: below the first it is an edge, above the other one relief.
-_EDGE, _NO_EDGE = np.float32(0.25), np.float32(0.5)
-_FAINT = 0.02  # of full scale: less luma by chroma's samples is rounding, and tells no share
 # Filters of 3×3 whose response to a wave in the direction θ is nearest to cos 2θ and sin 2θ, for waves that
 # chroma does not hold: above a fourth of a cycle per pixel, across or along.
 _WAVES: tuple[Float32Array, Float32Array] = (
@@ -66,10 +59,7 @@ class LumaDetail:
         fewer = np.stack([_mean_of_blocks(plane, 2, 2) for plane in coarse])
         to_rgb, shift = matrix.astype(np.float32), offset.astype(np.float32)
         from_rgb = np.linalg.inv(matrix).astype(np.float32)
-        faint = _FAINT * from_rgb[0].sum()
-        dark = (-from_rgb @ shift).astype(np.float32)  # the codes of black
-        edge = _edges(fewer[0], dark[0])
-        turns = self._chroma_per_luma(fewer, to_rgb, shift, from_rgb) * (1 - edge)
+        turns = self._chroma_per_luma(fewer, to_rgb, shift, from_rgb)
 
         def fine(plane: Float32Array, method: int, factor: int = 1) -> Float32Array:
             size = (plane.shape[1] * steps[1] * factor, plane.shape[0] * steps[0] * factor)
@@ -77,12 +67,6 @@ class LumaDetail:
             return np.ascontiguousarray(whole[: luma.shape[0], : luma.shape[1]], dtype=np.float32)
 
         mean, *chroma = (fine(plane, cv2.INTER_CUBIC) for plane in coarse)
-        edge = fine(edge, cv2.INTER_LINEAR, 2).ravel()
-        there = np.flatnonzero(edge > 0)
-        light = (luma.ravel()[there] - dark[0]) / np.maximum(mean.ravel()[there] - dark[0], faint)
-        more = edge[there] * (np.maximum(light, 0) - 1)
-        for plane, black in zip(chroma, dark[1:], strict=True):
-            plane.ravel()[there] += more * (plane.ravel()[there] - black)  # chroma falls with luma
         detail: Float32Array = luma - mean
         waves = [cv2.filter2D(detail, -1, kernel, borderType=cv2.BORDER_REPLICATE) for kernel in _WAVES]
         for k, turn in enumerate(turns):
@@ -135,11 +119,3 @@ def _mean_of_blocks(plane: Array, down: int, across: int) -> Float32Array:
     size = (whole.shape[1] // across, whole.shape[0] // down)
     mean = cv2.resize(whole.astype(np.float32), size, interpolation=cv2.INTER_AREA)
     return np.asarray(mean, dtype=np.float32)
-
-
-def _edges(luma: Float32Array, dark: float) -> Float32Array:
-    """Return how far each place of the luma (h, w) lies at an edge, 0 to 1, by its eight neighbours."""
-    around = np.ones((3, 3), np.uint8)
-    least, most = cv2.erode(luma, around) - dark, cv2.dilate(luma, around) - dark
-    share = least / np.maximum(most, np.float32(1e-6))
-    return np.clip((_NO_EDGE - share) / (_NO_EDGE - _EDGE), 0, 1).astype(np.float32)

@@ -1,7 +1,7 @@
 """How a camera was held: what video and image files state about it, and the picture turned upright."""
 
 import struct
-from dataclasses import dataclass
+from enum import Enum
 
 import numpy as np
 
@@ -10,18 +10,28 @@ from vntoolkit.arrays import Array
 _UNIT = 1 << 16  # display matrices are 16.16 fixed point, their last column 2.30
 
 
-@dataclass(frozen=True, kw_only=True)
-class Orientation:
-    """What turns a stored picture upright: first transposed, then flipped, as far as set."""
+class Orientation(Enum):
+    """What turns a stored picture upright, in the order of the values 1 to 8 of the EXIF and TIFF tag 274.
 
-    transposed: bool = False
-    left_right: bool = False
-    up_down: bool = False
+    Of each: whether it is transposed, then mirrored, then flipped upside down, and this in words.
+    """
+
+    UPRIGHT = (False, False, False, "")
+    MIRRORED = (False, True, False, "mirrored")
+    HALF_TURN = (False, True, True, "turned by 180°")
+    FLIPPED = (False, False, True, "flipped upside down")
+    TRANSPOSED = (True, False, False, "mirrored and turned by 270°")
+    QUARTER_TURN = (True, True, False, "turned by 90°")
+    TRANSVERSE = (True, True, True, "mirrored and turned by 90°")
+    THREE_QUARTER_TURN = (True, False, True, "turned by 270°")
+
+    def __init__(self, transposed: bool, mirrored: bool, flipped: bool, text: str) -> None:
+        self.transposed, self.mirrored, self.flipped, self.text = transposed, mirrored, flipped, text
 
     @classmethod
     def from_exif(cls, value: int) -> "Orientation":
-        """Return it for the value 1 to 8 of the EXIF and TIFF tag 274; any other value means upright."""
-        return _BY_EXIF.get(value, UPRIGHT)
+        """Return it for the value of the tag; any but 1 to 8 means upright."""
+        return list(cls)[value - 1] if 1 <= value <= 8 else cls.UPRIGHT
 
     @classmethod
     def from_display_matrix(cls, matrix: bytes) -> "Orientation | None":
@@ -31,40 +41,15 @@ class Orientation:
         """
         a, b, _, c, d = struct.unpack("<5i", matrix[:20])
         if not b and not c and abs(a) == abs(d) == _UNIT:
-            return cls(left_right=a < 0, up_down=d < 0)
-        if not a and not d and abs(b) == abs(c) == _UNIT:
-            return cls(transposed=True, left_right=c < 0, up_down=b < 0)
-        return None
+            steps = (False, a < 0, d < 0)
+        elif not a and not d and abs(b) == abs(c) == _UNIT:
+            steps = (True, c < 0, b < 0)
+        else:
+            return None
+        return next(turn for turn in cls if turn.value[:3] == steps)
 
     def upright(self, picture: Array) -> Array:
         """Return an (h, w) or (h, w, c) picture as it was seen; the same array where it is upright."""
-        if self.transposed:
-            picture = np.swapaxes(picture, 0, 1)
-        if self.left_right:
-            picture = picture[:, ::-1]
-        if self.up_down:
-            picture = picture[::-1]
-        return np.ascontiguousarray(picture)
-
-    @property
-    def text(self) -> str:
-        """What is done, in words; empty for an upright picture."""
-        turned = {(1, 0): "turned by 90°", (0, 1): "turned by 270°", (1, 1): "mirrored and turned by 90°"}
-        flipped = {(1, 1): "turned by 180°", (1, 0): "mirrored", (0, 1): "flipped upside down"}
-        key = (int(self.left_right), int(self.up_down))
-        if self.transposed:
-            return turned.get(key, "mirrored and turned by 270°")
-        return flipped.get(key, "")
-
-
-UPRIGHT = Orientation()
-_BY_EXIF = {
-    1: UPRIGHT,
-    2: Orientation(left_right=True),
-    3: Orientation(left_right=True, up_down=True),
-    4: Orientation(up_down=True),
-    5: Orientation(transposed=True),
-    6: Orientation(transposed=True, left_right=True),
-    7: Orientation(transposed=True, left_right=True, up_down=True),
-    8: Orientation(transposed=True, up_down=True),
-}
+        picture = np.swapaxes(picture, 0, 1) if self.transposed else picture
+        picture = picture[:, ::-1] if self.mirrored else picture
+        return np.ascontiguousarray(picture[::-1] if self.flipped else picture)

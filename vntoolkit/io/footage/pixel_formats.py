@@ -5,8 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from vntoolkit.arrays import Array, Matrix3, UInt16Array, Vector3
-from vntoolkit.io.footage.decoding import YuvConversion
+from vntoolkit.arrays import Array, Matrix3, Vector3
 from vntoolkit.io.footage.luma_detail import LumaDetail
 from vntoolkit.native import njit
 from vntoolkit.options.footage import Bayer
@@ -87,17 +86,17 @@ class PixelFormat:
         return self.name.startswith("gbrp") and self.name.endswith("le")
 
 
-def yuv_conversion(context: Any, pixel_format: PixelFormat, *, hd: bool) -> YuvConversion:
-    """Return how the colours of an opened stream are converted."""
+def yuv_conversion(context: Any, pixel_format: PixelFormat, *, hd: bool) -> tuple[str, str]:
+    """Return matrix and range of an opened stream, as it states them and as they are taken."""
     if pixel_format.is_rgb or pixel_format.is_grey:
-        return YuvConversion()
+        return "", ""
     matrix, stated_range = int(context.colorspace), int(context.color_range)
     is_full = stated_range == _FULL_RANGE or pixel_format.name.startswith("yuvj")
     span = "full" if is_full else "limited"
     name = _MATRICES[matrix][0] if matrix in _MATRICES else ""
     text = ", ".join(filter(None, (name, f"{span} range" if stated_range or is_full else "")))
     taken = name or ("BT.709" if hd else "BT.601")
-    return YuvConversion(stated=text or "nothing", taken=f"{taken}, {span} range")
+    return text or "nothing", f"{taken}, {span} range"
 
 
 def unread_colours(context: Any, pixel_format: PixelFormat) -> str:
@@ -109,33 +108,46 @@ def unread_colours(context: Any, pixel_format: PixelFormat) -> str:
 
 
 def rgb_from_video_frame(
-    frame: Any, pixel_format: PixelFormat, *, hd: bool, takes_codes: bool = False
+    frame: Any,
+    pixel_format: PixelFormat,
+    *,
+    hd: bool,
+    takes_codes: bool = False,
+    detail: LumaDetail | None = None,
 ) -> Array:
     """Return (h, w, 3) RGB, uint8 or uint16, of a decoded frame.
 
     The YUV matrix and range are those that the stream states; where it states no matrix, BT.709 for a picture
     of 720 lines or more (`hd`) and BT.601 below, as players do. Rounding is accurate and chroma is
     interpolated at full resolution, so that 4:4:4 is exact to one level. takes_codes: full scale of YUV is
-    the largest code, whatever the range; the samples are uint16.
+    the largest code, whatever the range; the samples are uint16. detail: sharpens chroma that has fewer
+    pixels by the luma; the samples are uint16.
     """
     from av.video.reformatter import Interpolation
 
-    if pixel_format.name in ("rgb24", "rgb48le") or (pixel_format.is_planar_rgb and pixel_format.bits > 8):
+    bits = pixel_format.bits
+    if pixel_format.name in ("rgb24", "rgb48le") or (pixel_format.is_planar_rgb and bits > 8):
         return frame.to_ndarray()
     is_yuv = not pixel_format.is_rgb and not pixel_format.is_grey
-    accurate = Interpolation.BICUBIC | Interpolation.ACCURATE_RND
-    accurate |= Interpolation.FULL_CHR_H_INT | Interpolation.FULL_CHR_H_INP
-    if is_yuv and (pixel_format.bits > 8 or takes_codes):
-        name = f"yuv444p{pixel_format.bits}le" if pixel_format.bits > 8 else "yuv444p"
-        full = frame.reformat(format=name, interpolation=accurate, threads=1)
-        return rgb_from_planar_yuv(full, frame, pixel_format.bits, hd=hd, takes_codes=takes_codes)
-    target = "rgb24" if pixel_format.decoded_bits == 8 else "rgb48le"
-    arguments: dict[str, Any] = {"threads": 1}
+    how: dict[str, Any] = {"threads": 1}
     if is_yuv:
-        arguments["interpolation"] = accurate
-        if frame.colorspace == _UNSPECIFIED:
-            arguments["src_colorspace"] = _SWS_ITU709 if hd else _SWS_ITU601
-    return np.ascontiguousarray(frame.reformat(format=target, **arguments).to_ndarray())
+        how["interpolation"] = Interpolation.BICUBIC | Interpolation.ACCURATE_RND
+        how["interpolation"] |= Interpolation.FULL_CHR_H_INT | Interpolation.FULL_CHR_H_INP
+    if is_yuv and (bits > 8 or takes_codes or detail is not None):
+        # to half a level; FFmpeg's own conversion, three times as fast, puts the white of 10 bits at 65283
+        # instead of 65535, so clipped pixels would pass as sound
+        matrix, offset = _rgb_from_stored(frame, bits, hd=hd, takes_codes=takes_codes)
+        if detail is not None:
+            planes = _planes(frame, bits)
+            planes[1:] = detail.chroma(planes, matrix, offset)
+        else:
+            whole = f"yuv444p{bits}le" if bits > 8 else "yuv444p"
+            planes = _planes(frame.reformat(format=whole, **how), bits)
+        return _rgb_from_planes(*planes, matrix, offset)
+    if is_yuv and frame.colorspace == _UNSPECIFIED:
+        how["src_colorspace"] = _SWS_ITU709 if hd else _SWS_ITU601
+    target = "rgb24" if pixel_format.decoded_bits == 8 else "rgb48le"
+    return np.ascontiguousarray(frame.reformat(format=target, **how).to_ndarray())
 
 
 def mosaic_from_video_frame(frame: Any, pixel_format: PixelFormat) -> Array:
@@ -143,32 +155,6 @@ def mosaic_from_video_frame(frame: Any, pixel_format: PixelFormat) -> Array:
     order = ">" if pixel_format.name.endswith("be") else "<"
     samples = _plane(frame, 0, np.dtype(np.uint8 if pixel_format.bits == 8 else f"{order}u2"))
     return samples.astype(samples.dtype.newbyteorder("="))
-
-
-def rgb_from_planar_yuv(
-    frame: Any, source: Any, bits: int, *, hd: bool, takes_codes: bool = False
-) -> UInt16Array:
-    """Return (h, w, 3) uint16 RGB, 65535 = full scale, of a planar 4:4:4 frame of `bits` bits.
-
-    Matrix and range are taken from `source`, the frame as decoded; where it states no matrix, BT.709 for a
-    picture of 720 lines or more (`hd`), else BT.601. Exact to half a level; FFmpeg's own conversion, three
-    times as fast, puts the white of 10 bits at 65283 instead of 65535, so clipped pixels would pass as sound.
-    takes_codes: as for `rgb_from_video_frame`.
-    """
-    matrix, offset = _rgb_from_stored(source, bits, hd=hd, takes_codes=takes_codes)
-    planes = [_plane(frame, i, np.dtype(np.uint8 if bits == 8 else np.uint16)) for i in range(3)]
-    return _rgb_from_planes(*planes, matrix, offset)
-
-
-def rgb_with_luma_detail(
-    frame: Any, pixel_format: PixelFormat, detail: LumaDetail, *, hd: bool, takes_codes: bool
-) -> UInt16Array:
-    """Return (h, w, 3) uint16 RGB of planar YUV whose chroma has fewer pixels, sharpened by its luma."""
-    bits = pixel_format.bits
-    matrix, offset = _rgb_from_stored(frame, bits, hd=hd, takes_codes=takes_codes)
-    kind = np.dtype(np.uint8 if bits == 8 else np.uint16)
-    planes = [_plane(frame, i, kind) for i in range(3)]
-    return _rgb_from_planes(planes[0], *detail.chroma(planes, matrix, offset), matrix, offset)
 
 
 def _rgb_from_stored(source: Any, bits: int, *, hd: bool, takes_codes: bool) -> tuple[Matrix3, Vector3]:
@@ -198,6 +184,10 @@ def _rgb_from_yuv(k_red: float, k_blue: float, *, bits: int, full_range: bool) -
     luma, chroma, black = (2**bits - 1, 2**bits - 1, 0) if full_range else (219 * step, 224 * step, 16 * step)
     matrix = np.linalg.inv(yuv_from_rgb) / np.array([luma, chroma, chroma])
     return matrix, -matrix @ np.array([black, 128 * step, 128 * step], dtype=np.float64)
+
+
+def _planes(frame: Any, bits: int) -> list[Array]:
+    return [_plane(frame, k, np.dtype(np.uint8 if bits == 8 else np.uint16)) for k in range(3)]
 
 
 def _plane(frame: Any, index: int, kind: np.dtype[Any]) -> Array:

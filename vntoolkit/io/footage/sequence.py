@@ -36,7 +36,7 @@ class CaptureKind(Enum):
 class CaptureFiles:
     """The files of a capture, in order.
 
-    numbers: of the frame that each file is, from 0; a file that is missing leaves its number free. missing:
+    numbers: of the frame that each image is, from 0; one that is missing leaves its number free. missing:
     name of the missing file by frame number. left_out: images of a folder whose names do not follow the
     frames' pattern. stated: the number in each file's name, where it counts frames; else empty. topic: of an
     MCAP recording, empty for its only one; None for other footage.
@@ -44,7 +44,7 @@ class CaptureFiles:
 
     kind: CaptureKind
     files: tuple[Path, ...]
-    numbers: tuple[int, ...] = (0,)
+    numbers: tuple[int, ...] = ()
     missing: Mapping[int, str] = field(default_factory=dict)
     left_out: tuple[Path, ...] = ()
     stated: tuple[int, ...] = ()
@@ -86,8 +86,9 @@ def _find(text: str) -> CaptureFiles:
             raise BadCapture(f"{text}: no file matches this pattern; is the folder right?")
         return _sequence(found)
     require_file(path, BadCapture)
-    kind = CaptureKind.IMAGE if path.suffix.lower() in _IMAGES else CaptureKind.VIDEO
-    return CaptureFiles(kind=kind, files=(path,))
+    if path.suffix.lower() in _IMAGES:
+        return CaptureFiles(kind=CaptureKind.IMAGE, files=(path,), numbers=(0,))
+    return CaptureFiles(kind=CaptureKind.VIDEO, files=(path,))
 
 
 def _sequence(files: tuple[Path, ...], left_out: tuple[Path, ...] = ()) -> CaptureFiles:

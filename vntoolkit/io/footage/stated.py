@@ -8,7 +8,7 @@ import numpy as np
 
 from vntoolkit.arrays import Array
 from vntoolkit.errors import BadCapture
-from vntoolkit.io.footage.orientation import UPRIGHT, Orientation
+from vntoolkit.io.footage.orientation import Orientation
 
 # H.273's transfer characteristics, of video and of PNG; BT.601, xvYCC and BT.2020 share BT.709's curve.
 TRANSFER_NAMES = {
@@ -38,7 +38,7 @@ class Stated:
     """
 
     transfer: str = ""
-    orientation: Orientation = UPRIGHT
+    orientation: Orientation = Orientation.UPRIGHT
     pixel_aspect: float = 1.0
     pictures: int = 1
     colours: str = ""

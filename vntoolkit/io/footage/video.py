@@ -8,12 +8,12 @@ import zlib
 from collections import deque
 from collections.abc import Iterable, Iterator
 from collections.abc import Set as AbstractSet
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from fractions import Fraction
 from functools import cached_property
 from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -23,11 +23,15 @@ from vntoolkit.errors import BadCapture, CannotWrite
 from vntoolkit.io.atomic import atomic_path
 from vntoolkit.io.files import require_file, require_pixels
 from vntoolkit.io.footage import pixel_formats
+from vntoolkit.io.footage.decoding import EncodedFrame
 from vntoolkit.io.footage.luma_detail import LumaDetail
-from vntoolkit.io.footage.orientation import UPRIGHT, Orientation
+from vntoolkit.io.footage.orientation import Orientation
 from vntoolkit.io.footage.stated import TRANSFER_NAMES, Stated, require_heeded, require_opaque
 from vntoolkit.io.footage.video_index import VideoIndex, av_errors, index_of_stream
-from vntoolkit.options.footage import Bayer, Demosaic, SensorOptions
+from vntoolkit.options.footage import Bayer, Demosaic
+
+if TYPE_CHECKING:
+    from vntoolkit.io.footage.captures import CaptureInfo, CaptureOptions
 
 _HD_HEIGHT = 720
 _INDICES: dict[tuple[str, int, int], VideoIndex] = {}  # of files by path, size and time of change, in ns
@@ -45,28 +49,21 @@ _LONGEST_STEP_S = 3600.0  # between frames of one film, a time lapse too: more c
 
 
 class VideoReader:
-    """Frames of one video file as RGB arrays, from any frame on.
+    """Frames of one video file, from any frame on.
 
     8-bit sources give uint8; deeper ones uint16, whose full scale is `2**bits - 1`. Frames are counted by
     their packets, so the number of a frame does not depend on a frame rate in the header. A decoder that came
     to the end of what it was asked for waits there, so that going on costs no seek: cameras write a key frame
     every few seconds, and all frames since then would be decoded again. Frames come upright, whatever way the
-    camera was held. takes_codes: as for `Transfer`. sensor: how Bayer mosaics are read. detail:
-    sharpens subsampled chroma; None for plain decoding. Raises `BadCapture` for interlaced video.
+    camera was held. With a response and a transfer, luma sharpens subsampled chroma. Raises `BadCapture` for
+    interlaced video.
     """
 
-    def __init__(
-        self,
-        path: Path | str,
-        *,
-        max_megapixels: float | None = None,
-        threads: int = 2,
-        takes_codes: bool = False,
-        sensor: SensorOptions | None = None,
-        detail: LumaDetail | None = None,
-    ) -> None:
+    def __init__(self, path: Path | str, options: "CaptureOptions | None" = None) -> None:
         self.path = require_file(path, BadCapture)
-        self.threads = threads
+        from vntoolkit.io.footage.captures import CaptureOptions  # here: writing needs none of it
+
+        self._options = options = options or CaptureOptions()
         # (number of its next frame, decoder); a deque, whose pop gives it to one thread alone
         self._waiting: deque[tuple[int, Iterator[tuple[int | None, Any]]]] = deque(maxlen=1)
         container, stream = open_video(self.path)
@@ -74,69 +71,87 @@ class VideoReader:
             context = stream.codec_context
             if context is None:
                 raise BadCapture(f"{self.path}: is in a codec that FFmpeg does not know, or is damaged")
-            require_pixels(context.width, context.height, max_megapixels, str(self.path))
+            require_pixels(context.width, context.height, options.max_megapixels, str(self.path))
             if not context.pix_fmt:
                 raise BadCapture(f"{self.path}: no frame can be decoded; the file is damaged or cut off")
             self._stored_size = (int(context.width), int(context.height))
-            self.codec = str(context.codec.name)
-            self.pixel_format = pixel_formats.PixelFormat.from_av(context.format)
+            self._codec = str(context.codec.name)
+            self._format = pixel_formats.PixelFormat.from_av(context.format)
             hd = int(context.height) >= _HD_HEIGHT
-            self.conversion = pixel_formats.yuv_conversion(context, self.pixel_format, hd=hd)
-            self._demosaic = (sensor or SensorOptions()).demosaic
-            self._bayer = self._pattern((sensor or SensorOptions()).bayer)
-            self.takes_codes = takes_codes and not (self.pixel_format.is_rgb or self.pixel_format.is_grey)
-            self._detail = detail if self.pixel_format.has_coarse_chroma else None
+            self._stated_yuv, self._taken_yuv = pixel_formats.yuv_conversion(context, self._format, hd=hd)
+            self._bayer = self._pattern(options.sensor.bayer)
+            takes_codes = options.transfer is not None and options.transfer.takes_codes
+            self._takes_codes = takes_codes and not (self._format.is_rgb or self._format.is_grey)
+            self._detail = None
+            if self._format.has_coarse_chroma and options.response and options.transfer:
+                self._detail = LumaDetail(options.response, options.transfer)
             # AVI's times tell when a frame is decoded, not when it is shown
             self._times_are_of_decoding = bool(context.has_b_frames) and container.format.name == "avi"
-            rate = stream.average_rate or stream.guessed_rate or Fraction(30)
-            self._stated_rate_hz = float(rate)
+            self._stated_rate_hz = float(stream.average_rate or stream.guessed_rate or 30)
             self._time_base_s = float(stream.time_base)
             self._require_progressive(int(context.field_order or 0) >= _FIRST_INTERLACED)
-            self.stated = self._stated(container, stream)
-            require_heeded(self.stated, str(self.path), "views a frame (stereo)")
-        turned = -1 if self.stated.orientation.transposed else 1
-        width, height = self._stored_size[::turned]
-        smaller = 2 if self._bayer is not None and self._demosaic is Demosaic.HALF else 1
-        self.width, self.height = width // smaller, height // smaller
+            self._stated = self._stated_by(container, stream)
+            require_heeded(self._stated, str(self.path), "views a frame (stereo)")
 
-    @property
-    def bits(self) -> int:
-        """Significant bits of the samples that `frames` yields."""
+    @cached_property
+    def info(self) -> "CaptureInfo":
+        """What the video holds."""
+        from vntoolkit.io.footage.captures import CaptureInfo
+        from vntoolkit.io.footage.sequence import CaptureKind
+
+        width, height = self._stored_size[:: -1 if self._stated.orientation.transposed else 1]
+        is_halved = self._bayer is not None and self._options.sensor.demosaic is Demosaic.HALF
+        bits = self._format.decoded_bits
         if self._bayer is not None:
-            return self.pixel_format.bits
-        if self.takes_codes or self._detail is not None:
-            return 16
-        return self.pixel_format.decoded_bits
-
-    @property
-    def chroma(self) -> str:
-        """Chroma subsampling, as `CaptureInfo` has it."""
-        return "Bayer" if self._bayer is not None else self.pixel_format.chroma
+            bits = self._format.bits
+        elif self._takes_codes or self._detail is not None:
+            bits = 16
+        rate_hz, uneven_s, unusable = self._timing()
+        return CaptureInfo(
+            kind=CaptureKind.VIDEO,
+            width=width // 2 if is_halved else width,
+            height=height // 2 if is_halved else height,
+            frame_count=len(self.index.times),
+            frame_rate_hz=rate_hz,
+            pixel_format=self._format.name,
+            bits=bits,
+            codec=self._codec,
+            chroma="Bayer" if self._bayer is not None else self._format.chroma,
+            files=(self.path,),
+            promised_frame_count=self.index.promised,
+            stated_transfer=self._stated.transfer,
+            stated_yuv=self._stated_yuv,
+            taken_yuv=self._taken_yuv,
+            orientation=self._stated.orientation.text,
+            times_s=uneven_s,
+            unusable_times=unusable,
+        )
 
     def _pattern(self, given: Bayer | None) -> Bayer | None:
         """Return the pattern of the mosaic that the video is, None for none."""
-        if given is not None and not self.pixel_format.is_grey:
+        if given is not None and not self._format.is_grey:
             raise BadCapture(
-                f"{self.path}: --bayer needs one sample a pixel, got {self.pixel_format.name}; leave it out"
+                f"{self.path}: --bayer needs one sample a pixel, got {self._format.name}; leave it out"
             )
-        return given or self.pixel_format.bayer
+        return given or self._format.bayer
 
-    @cached_property
-    def timing(self) -> "Timing":
-        """When the frames are shown."""
+    def _timing(self) -> tuple[float, tuple[float, ...], str]:
+        """Return frame rate, uneven times and unusable ones, as `CaptureInfo` has them."""
+        if self._options.frame_rate_hz is not None:
+            return self._options.frame_rate_hz, (), ""
         if self.index.unusable_times:
-            return Timing(rate_hz=self._stated_rate_hz, unusable=self.index.unusable_times)
+            return self._stated_rate_hz, (), self.index.unusable_times
         times = (np.array(self.index.times, np.float64) - self.index.times[0]) * self._time_base_s
         longest = np.diff(times).max(initial=0.0)
         if longest > _LONGEST_STEP_S:
             apart = f"the file puts two of its frames {longest / 3600:,.0f} hours apart"
-            return Timing(rate_hz=self._stated_rate_hz, unusable=apart)
+            return self._stated_rate_hz, (), apart
         mean_hz = (len(times) - 1) / times[-1] if len(times) > 1 else self._stated_rate_hz
         for rate_hz in (self._stated_rate_hz, mean_hz):
             deviation = np.abs(times - np.arange(len(times)) / rate_hz).max()
             if deviation <= max(_UNEVEN_S, 1.5 * self._time_base_s):
-                return Timing(rate_hz=rate_hz)
-        return Timing(rate_hz=self._stated_rate_hz, uneven_s=tuple(np.round(times, 6).tolist()))
+                return rate_hz, (), ""
+        return self._stated_rate_hz, tuple(np.round(times, 6).tolist()), ""
 
     def _require_progressive(self, is_interlaced: bool) -> None:
         if is_interlaced:
@@ -146,22 +161,26 @@ class VideoReader:
                 f"{shlex.quote(self.path.stem + '_progressive.mkv')}"
             )
 
-    def _stated(self, container: Any, stream: Any) -> Stated:
+    def _stated_by(self, container: Any, stream: Any) -> Stated:
         """Gather it from the stream and its first frame; a damaged one is reported in its turn."""
         context, said = stream.codec_context, {}
         with contextlib.suppress(StopIteration, *av_errors()):
             packets = container.demux(stream)
             first = next(packets)
             frame = next(frame for packet in chain([first], packets) for frame in packet.decode())
-            is_png = self.codec in ("png", "apng")
+            is_png = self._codec in ("png", "apng")
             said = _said_beside_png(frame, context, first) if is_png else _said_beside(frame)
-        turn = Orientation.from_display_matrix(said["DISPLAYMATRIX"]) if "DISPLAYMATRIX" in said else UPRIGHT
+        turn = (
+            Orientation.from_display_matrix(said["DISPLAYMATRIX"])
+            if "DISPLAYMATRIX" in said
+            else Orientation.UPRIGHT
+        )
         if turn is None:
             raise BadCapture(
                 f"{self.path}: is to be shown turned by {frame.rotation}°, expected 0, 90, 180 or 270; turn "
                 "it in a video editor first"
             )
-        colours = pixel_formats.unread_colours(context, self.pixel_format)
+        colours = pixel_formats.unread_colours(context, self._format)
         if stream.metadata.get("alpha_mode", "0") != "0":
             colours = "colours with an alpha channel apart from them"
         if "SPHERICAL" in said:
@@ -189,7 +208,7 @@ class VideoReader:
         if index is None:
             container, stream = open_video(self.path)
             with container:
-                checked = self.codec == "ffv1"
+                checked = self._codec == "ffv1"
                 index = index_of_stream(container, stream, str(self.path), has_checksums=checked)
             if self._times_are_of_decoding:
                 index = replace(index, key_frames=(0,), is_in_order=True)
@@ -202,8 +221,8 @@ class VideoReader:
         """Return the nearest frame that needs no other to be decoded, the earlier of two; 0 where none is."""
         return min(self.index.key_frames, key=lambda key: abs(key - number), default=0)
 
-    def frames(self, start: int = 0, stop: int | None = None, step: int = 1) -> Iterator[tuple[int, Array]]:
-        """Yield (number, RGB array) for the frames start, start + step, … below stop.
+    def frames(self, start: int = 0, stop: int | None = None, step: int = 1) -> Iterator[EncodedFrame]:
+        """Yield the frames start, start + step, … below stop.
 
         Decoding goes on where the call before it ended, if that is no farther than the key frame before
         `start`, or starts there. Where every frame is a key frame, those left out are not decoded. Raises
@@ -225,7 +244,9 @@ class VideoReader:
         for number in numbers:
             if number in self.index.damaged:
                 raise self._damaged(number, "its checksum is wrong, or that of a frame it builds on")
-            yield number, self._rgb(self._frame_shown_at(times[number], number, decoded), number)
+            rgb = self._rgb(self._frame_shown_at(times[number], number, decoded), number)
+            name = f"{self.path}, frame {number}"
+            yield EncodedFrame(values=rgb, bits=self.info.bits, number=number, name=name)
         if not left_out:
             self._waiting.append((numbers[-1] + 1, decoded))
 
@@ -259,7 +280,7 @@ class VideoReader:
         container, stream = open_video(self.path)
         with container:
             stream.thread_type = threads_work_on
-            stream.codec_context.thread_count = self.threads
+            stream.codec_context.thread_count = self._options.threads
             try:
                 if from_time is not None:
                     early = _EARLY_S / stream.time_base if container.format.name in _WITHOUT_INDEX else 0
@@ -282,27 +303,31 @@ class VideoReader:
                 f"{width}×{height}: a capture has one size"
             )
         self._require_progressive(frame.interlaced_frame)
-        curve = TRANSFER_NAMES.get(int(frame.color_trc), self.stated.transfer)
-        if curve != self.stated.transfer:
+        curve = TRANSFER_NAMES.get(int(frame.color_trc), self._stated.transfer)
+        if curve != self._stated.transfer:
             raise BadCapture(
                 f"{self.path}: frame {number} states the transfer curve {curve}, the first one "
-                f"{self.stated.transfer or 'none'}: a capture has one curve"
+                f"{self._stated.transfer or 'none'}: a capture has one curve"
             )
         try:
             if self._bayer is not None:
                 from vntoolkit.io.footage.mosaics import rgb_from_mosaic
 
-                mosaic = pixel_formats.mosaic_from_video_frame(frame, self.pixel_format)
-                return self.stated.orientation.upright(rgb_from_mosaic(mosaic, self._bayer, self._demosaic))
-            if self.pixel_format.has_alpha:
+                mosaic = pixel_formats.mosaic_from_video_frame(frame, self._format)
+                return self._stated.orientation.upright(
+                    rgb_from_mosaic(mosaic, self._bayer, self._options.sensor.demosaic)
+                )
+            if self._format.has_alpha:
                 alpha = frame.reformat(format="rgba").to_ndarray()[..., 3]
                 require_opaque(alpha, f"{self.path}, frame {number}")
-            how: dict[str, bool] = {"hd": height >= _HD_HEIGHT, "takes_codes": self.takes_codes}
-            if self._detail is not None:
-                rgb = pixel_formats.rgb_with_luma_detail(frame, self.pixel_format, self._detail, **how)
-            else:
-                rgb = pixel_formats.rgb_from_video_frame(frame, self.pixel_format, **how)
-            return self.stated.orientation.upright(rgb)
+            rgb = pixel_formats.rgb_from_video_frame(
+                frame,
+                self._format,
+                hd=height >= _HD_HEIGHT,
+                takes_codes=self._takes_codes,
+                detail=self._detail,
+            )
+            return self._stated.orientation.upright(rgb)
         except av_errors() as error:
             raise self._damaged(number, f"its colours cannot be converted ({reason_of(error)})") from error
 
@@ -379,19 +404,6 @@ def _ffv1_stream(container: Any, frame: Array, frame_rate_hz: float) -> Any:
 
 def _rational(frame_rate_hz: float) -> Fraction:
     return Fraction(frame_rate_hz).limit_denominator(1001)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Timing:
-    """When the frames of a video are shown.
-
-    rate_hz: per second. uneven_s: seconds from the first, where the rate varies; else empty. unusable: what
-    is wrong with the times that the file states, in words; empty for nothing.
-    """
-
-    rate_hz: float
-    uneven_s: tuple[float, ...] = ()
-    unusable: str = ""
 
 
 def _said_beside(frame: Any) -> dict[str, bytes]:

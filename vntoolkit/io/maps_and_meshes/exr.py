@@ -158,12 +158,11 @@ def _in_display_window(values: Array, header: ExrHeader) -> Array:
     if (header.left, header.top, *values.shape) == (0, 0, header.height, header.width):
         return values
     whole = np.zeros((header.height, header.width), values.dtype)
-    top, left = max(0, header.top), max(0, header.left)
-    bottom = min(header.height, header.top + header.stored_height)
-    right = min(header.width, header.left + header.stored_width)
-    if top < bottom and left < right:
-        inside = values[top - header.top : bottom - header.top, left - header.left : right - header.left]
-        whole[top:bottom, left:right] = inside
+    rows, columns = (
+        begin + np.arange(size) for begin, size in zip((header.top, header.left), values.shape, strict=True)
+    )
+    row_is_in, column_is_in = (rows >= 0) & (rows < header.height), (columns >= 0) & (columns < header.width)
+    whole[np.ix_(rows[row_is_in], columns[column_is_in])] = values[np.ix_(row_is_in, column_is_in)]
     return whole
 
 

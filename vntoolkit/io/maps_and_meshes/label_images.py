@@ -79,18 +79,13 @@ def _numbers(path: Path | str, palette: ByteArray, what: str) -> ByteArray:
     rgb = read_image(path)
     if rgb.dtype != np.uint8:
         raise BadInput(f"{path}: {what} are 8-bit, got {rgb.dtype}")
-    last = len(palette) - 1
-    if rgb.max(initial=0) <= last:
+    if rgb.max(initial=0) < len(palette):
         return rgb[..., 0].copy()
-    keys = rgb.astype(np.int32) @ np.array([65536, 256, 1], dtype=np.int32)
-    known = palette.astype(np.int32) @ np.array([65536, 256, 1], dtype=np.int32)
-    order = np.argsort(known)
-    place = np.clip(np.searchsorted(known[order], keys), 0, last)
-    labels = order[place].astype(np.uint8)
-    strange = known[labels] != keys
+    is_label = [(rgb == colour).all(axis=2) for colour in palette]
+    strange = ~np.logical_or.reduce(is_label)
     if strange.any():
         v, u = np.argwhere(strange)[0]
         raise BadInput(
             f"{path}: pixel ({u}, {v}) has the colour {rgb[v, u].tolist()}, no label of the legend"
         )
-    return labels
+    return np.argmax(is_label, axis=0).astype(np.uint8)

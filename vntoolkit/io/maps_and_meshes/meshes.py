@@ -14,7 +14,7 @@ from vntoolkit.io.atomic import write_bytes, write_text
 from vntoolkit.io.conventions import graphics_from_camera
 from vntoolkit.io.files import require_mesh_file, require_vertices, text_lines
 from vntoolkit.io.footage.image_writing import write_png
-from vntoolkit.io.maps_and_meshes.ply import PlyContent, bytes_from_colours, read_ply, write_ply
+from vntoolkit.io.maps_and_meshes.ply import read_ply, write_ply
 from vntoolkit.options.export import MeshUpAxis
 
 
@@ -38,15 +38,16 @@ def write_mesh(
         case ".ply":
             if texture is not None or material is not None:
                 raise CannotWrite(f"{path}: a PLY carries no texture; write .obj, or give vertex colours")
-            content = PlyContent(
-                vertices=turned.vertices,
-                faces=turned.faces,
+            write_ply(
+                path,
+                turned.vertices,
+                turned.faces,
                 normals=turned.normals,
-                colours=bytes_from_colours(turned.colours),
+                colours=turned.colours,
                 uv=turned.uv,
                 quality=turned.error_deg,
+                comment=up.meaning,
             )
-            write_ply(path, content, up.meaning)
         case ".obj":
             write_obj(path, turned, texture, up.meaning, material)
         case ".stl":
@@ -63,35 +64,19 @@ def read_mesh(path: Path | str) -> Mesh:
     require_mesh_file(path)
     match Path(path).suffix.lower():
         case ".ply":
-            content = read_ply(path)
-            if content.faces is None:
-                raise BadMesh(f"{path}: holds points but no faces, expected a mesh")
-            colours = content.colours
-            mesh = Mesh(
-                vertices=content.vertices,
-                faces=content.faces,
-                normals=content.normals,
-                colours=None if colours is None else colours.astype(np.float32) / np.float32(255),
-                uv=content.uv,
-                error_deg=content.quality,
-            )
+            return _flip(read_ply(path))
         case ".obj":
-            mesh = read_obj(path)
+            return _flip(read_obj(path))
         case suffix:
             raise BadMesh(f"{path}: a mesh is read from .ply or .obj, not '{suffix}'; export it as .ply")
-    return _flip(mesh)
 
 
 def write_point_cloud(path: Path | str, cloud: PointCloud, *, up: MeshUpAxis = MeshUpAxis.Y) -> None:
     """Write a point cloud in the camera frame as binary `.ply`, in the axes of files."""
     if Path(path).suffix.lower() != ".ply":
         raise CannotWrite(f"{path}: a point cloud is written as .ply")
-    content = PlyContent(
-        vertices=graphics_from_camera(cloud.points, up),
-        normals=None if cloud.normals is None else graphics_from_camera(cloud.normals, up),
-        colours=bytes_from_colours(cloud.colours),
-    )
-    write_ply(path, content)
+    normals = None if cloud.normals is None else graphics_from_camera(cloud.normals, up)
+    write_ply(path, graphics_from_camera(cloud.points, up), normals=normals, colours=cloud.colours)
 
 
 def _flip(mesh: Mesh, up: MeshUpAxis = MeshUpAxis.Y) -> Mesh:

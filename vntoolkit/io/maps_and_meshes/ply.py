@@ -1,17 +1,16 @@
 """Stanford PLY: vertices with normals, colour and texture coordinates, and faces; ASCII and binary."""
 
 import os
-from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
-from itertools import repeat
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
-from vntoolkit.arrays import Array, ByteArray, Faces, FloatArray
+from vntoolkit.arrays import Array, Faces, Float32Array, FloatArray
 from vntoolkit.errors import BadMesh
-from vntoolkit.geometry.mesh import triangles_from_polygons
+from vntoolkit.geometry.mesh import Mesh, triangles_from_polygons
 from vntoolkit.io.atomic import aligned_memory, write_large
 from vntoolkit.io.files import opened, require_vertices
 
@@ -21,68 +20,61 @@ _KINDS = {
     "float": "f4", "float32": "f4", "double": "f8", "float64": "f8",
 }  # fmt: skip
 _ORDERS = {"ascii": "ascii", "binary_little_endian": "<", "binary_big_endian": ">"}
-_FACE = np.dtype([("count", "u1"), ("corners", "V12")])
+_FACE = np.dtype([("count", "u1"), ("corners", "<i4", 3)])
 _LONGEST_HEADER = 1 << 16
 _MOST_BYTES_OF_A_NUMBER = 32
 _MOST_BYTES_OF_A_LIST = 1 << 12  # a polygon of hundreds of corners
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class PlyContent:
-    """What a PLY file holds, in the frame of the file.
-
-    vertices: (n, 3). faces: (m, 3) int32 or None for a point cloud. normals: (n, 3). colours: (n, 3) uint8.
-    uv: (n, 2). quality: (n,) float, MeshLab's name for one number a vertex.
-    """
-
-    vertices: FloatArray
-    faces: Faces | None = None
-    normals: FloatArray | None = None
-    colours: ByteArray | None = None
-    uv: FloatArray | None = None
-    quality: FloatArray | None = None
-
-
 def write_ply(
-    path: Path | str, content: PlyContent, comment: str = "x right, y up, z towards the viewer"
+    path: Path | str,
+    vertices: FloatArray,
+    faces: Faces | None = None,
+    *,
+    normals: FloatArray | None = None,
+    colours: FloatArray | None = None,
+    uv: FloatArray | None = None,
+    quality: FloatArray | None = None,
+    comment: str = "x right, y up, z towards the viewer",
 ) -> None:
-    """Write little-endian binary: float32 `x y z nx ny nz s t quality`, uchar `red green blue`, triangles."""
-    columns: list[tuple[str, str, Array | None]] = [
-        ("x y z", "<f4", content.vertices),
-        ("nx ny nz", "<f4", content.normals),
-        ("s t", "<f4", content.uv),
-        ("quality", "<f4", content.quality),
-        ("red green blue", "u1", content.colours),
-    ]
-    # Each column as bytes: of fields at odd addresses numpy copies numbers five times as slowly.
-    parts = {
-        names: np.ascontiguousarray(values, kind).view(f"V{np.dtype(kind).itemsize * len(names.split())}")
-        for names, kind, values in columns
-        if values is not None
+    """Write little-endian binary: float32 `x y z nx ny nz s t quality`, uchar `red green blue`, triangles.
+
+    All in the frame of the file. vertices, normals, colours (0 to 1): (n, 3). faces: (m, 3), None for a point
+    cloud. uv: (n, 2). quality: (n,), MeshLab's name for one number a vertex.
+    """
+    columns: dict[str, tuple[str, Array | None]] = {
+        "x y z": ("<f4", vertices),
+        "nx ny nz": ("<f4", normals),
+        "s t": ("<f4", uv),
+        "quality": ("<f4", quality),
+        "red green blue": ("u1", None if colours is None else np.rint(np.clip(colours * 255.0, 0, 255))),
     }
-    header = ["ply", "format binary_little_endian 1.0", f"comment {comment}"]
-    header.append(f"element vertex {len(content.vertices)}")
-    for names, kind, _ in columns:
-        if names in parts:
-            header += [f"property {'uchar' if kind == 'u1' else 'float'} {name}" for name in names.split()]
-    faces = np.empty((0, 3), np.int32) if content.faces is None else content.faces
-    if content.faces is not None:
+    given = {names: (kind, values) for names, (kind, values) in columns.items() if values is not None}
+    header = [
+        "ply",
+        "format binary_little_endian 1.0",
+        f"comment {comment}",
+        f"element vertex {len(vertices)}",
+    ]
+    for names, (kind, _) in given.items():
+        header += [f"property {'uchar' if kind == 'u1' else 'float'} {name}" for name in names.split()]
+    if faces is not None:
         header += [f"element face {len(faces)}", "property list uchar int vertex_indices"]
     head = "\n".join([*header, "end_header\n"]).encode("ascii")
-    row = np.dtype([(names, values.dtype) for names, values in parts.items()])
-    end = len(head) + row.itemsize * len(content.vertices)
-    memory = aligned_memory(end + _FACE.itemsize * len(faces))
+    row = np.dtype([(names, kind, values.shape[1:]) for names, (kind, values) in given.items()])
+    end = len(head) + row.itemsize * len(vertices)
+    memory = aligned_memory(end + (0 if faces is None else _FACE.itemsize * len(faces)))
     memory[: len(head)] = np.frombuffer(head, np.uint8)
-    vertices, triangles = memory[len(head) : end].view(row), memory[end:].view(_FACE)
-    for names, values in parts.items():
-        vertices[names] = values.reshape(-1)
-    triangles["count"] = 3
-    triangles["corners"] = np.ascontiguousarray(faces, "<i4").view("V12").reshape(-1)
+    rows, triangles = memory[len(head) : end].view(row), memory[end:].view(_FACE)
+    for names, (_, values) in given.items():
+        rows[names] = values
+    if faces is not None:
+        triangles["count"], triangles["corners"] = 3, faces
     write_large(path, memory.data)
 
 
-def read_ply(path: Path | str) -> PlyContent:
-    """Read a PLY file; raise `BadMesh` with one line for a malformed one."""
+def read_ply(path: Path | str) -> Mesh:
+    """Read a mesh in the frame of the file; raise `BadMesh` with one line for a malformed one."""
     with opened(path, BadMesh) as stream:
         data = stream.read(_LONGEST_HEADER)
         size = os.fstat(stream.fileno()).st_size
@@ -90,25 +82,26 @@ def read_ply(path: Path | str) -> PlyContent:
         if size > _LONGEST_HEADER + sum(element.most_bytes for element in elements):
             raise BadMesh(f"{path}: {size / 1e6:.0f} MB are more than the rows that its header promises take")
         data += stream.read()
-    tables: dict[str, Any] = {}
+    tables: dict[str, dict[str, Any]] = {}
+    element = elements[0] if elements else PlyElement(name="vertex", count=0)
     try:
-        lines = iter(data[at:].splitlines()) if order == "ascii" else iter(())
+        numbers = _Numbers(data, at, order)
         for element in elements:
-            if order == "ascii":
-                tables[element.name] = _ascii_table(element, lines)
-            else:
-                tables[element.name], at = _binary_table(element, data, at, order)
-    except (ValueError, IndexError, StopIteration) as problem:
-        reason = str(problem) or "too few lines"
-        raise BadMesh(f"{path}: the element '{element.name}' is malformed or cut off ({reason})") from problem
+            tables[element.name] = _table(element, numbers)
+    except (ValueError, IndexError) as problem:
+        raise BadMesh(
+            f"{path}: the element '{element.name}' is malformed or cut off ({problem})"
+        ) from problem
     columns = tables.get("vertex", {}).items()
     vertex = {key: values for key, values in columns if isinstance(values, np.ndarray) and values.ndim == 1}
     if not {"x", "y", "z"} <= set(vertex):
         raise BadMesh(f"{path}: expected an element 'vertex' with x, y and z")
-    return _content(str(path), vertex, tables.get("face"))
+    if "face" not in tables:
+        raise BadMesh(f"{path}: holds points but no faces, expected a mesh")
+    return _mesh(str(path), vertex, tables["face"])
 
 
-def _content(name: str, vertex: dict[str, Any], face: dict[str, Any] | None) -> PlyContent:
+def _mesh(name: str, vertex: dict[str, Array], face: dict[str, Any]) -> Mesh:
     def gather(*names: str) -> Array | None:
         return np.stack([vertex[n] for n in names], axis=1) if set(names) <= set(vertex) else None
 
@@ -117,112 +110,104 @@ def _content(name: str, vertex: dict[str, Any], face: dict[str, Any] | None) -> 
         whole = values is not None and not np.issubdtype(values.dtype, np.floating)
         return values.astype(np.float64) if values is not None and whole else values
 
-    vertices, normals = gather_floats("x", "y", "z"), gather_floats("nx", "ny", "nz")
+    vertices, colours, quality = (
+        gather_floats("x", "y", "z"),
+        gather("red", "green", "blue"),
+        vertex.get("quality"),
+    )
     assert vertices is not None
     pairs = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"))
-    uv = next((found for pair in pairs if (found := gather_floats(*pair)) is not None), None)
-    colours = gather("red", "green", "blue")
-    for what, values in (("vertex", vertices), ("normal", normals), ("colour", colours), ("uv", uv)):
-        if values is not None and not np.isfinite(values).all():
-            raise BadMesh(f"{name}: a {what} is NaN or infinite")
-    faces = None
-    if face is not None:
-        polygons = face.get("vertex_indices", face.get("vertex_index"))
-        if polygons is None or (isinstance(polygons, np.ndarray) and polygons.ndim == 1):
-            raise BadMesh(f"{name}: the faces have no list 'vertex_indices'")
-        faces = triangles_from_polygons(polygons, len(vertices), name)
-    quality = gather_floats("quality")
-    return PlyContent(
-        vertices=vertices,
-        faces=faces,
-        normals=normals,
-        colours=bytes_from_colours(colours),
-        uv=uv,
-        quality=None if quality is None or not np.isfinite(quality).all() else quality[:, 0],
-    )
+    polygons = face.get("vertex_indices", face.get("vertex_index"))
+    if polygons is None or (isinstance(polygons, np.ndarray) and polygons.ndim == 1):
+        raise BadMesh(f"{name}: the faces have no list 'vertex_indices'")
+    faces = triangles_from_polygons(polygons, len(vertices), name)
+    try:
+        return Mesh(
+            vertices=vertices,
+            faces=faces,
+            normals=gather_floats("nx", "ny", "nz"),
+            colours=None if colours is None else _shares(colours),
+            uv=next((found for pair in pairs if (found := gather_floats(*pair)) is not None), None),
+            error_deg=None if quality is None or not np.isfinite(quality).all() else quality,
+        )
+    except BadMesh as problem:
+        raise BadMesh(f"{name}: {problem}") from problem
 
 
-def bytes_from_colours(colours: Array | None) -> ByteArray | None:
-    """Return colours (n, 3) as bytes: floats count from 0 to 1, 16 bits to 65535, other integers to 255."""
-    if colours is None or colours.dtype == np.uint8:
-        return colours
+def _shares(colours: Array) -> Float32Array:
+    """Return colours as 0 to 1: floats are, 16 bits count to 65535, other integers to 255."""
     is_float, is_short = np.issubdtype(colours.dtype, np.floating), colours.dtype == np.uint16
-    full = 1.0 if is_float else 65535.0 if is_short else 255.0
-    return np.rint(np.clip(colours * (255.0 / full), 0, 255)).astype(np.uint8)
+    full = np.float32(1 if is_float else 65535 if is_short else 255)
+    return np.clip(colours.astype(np.float32) / full, 0, 1)
 
 
-def _binary_table(element: "PlyElement", data: bytes, at: int, order: str) -> tuple[dict[str, Any], int]:
+class _Numbers:
+    """The numbers behind a header, taken one after the other. Those of a text are doubles of any kind."""
+
+    def __init__(self, data: bytes, at: int, order: str) -> None:
+        from vntoolkit.io.text_numbers import numbers_of_text
+
+        self.is_text, self.order = order == "ascii", order
+        self.data, self.at = (numbers_of_text(data[at:]).tobytes(), 0) if self.is_text else (data, at)
+
+    def stored(self, kind: str) -> str:
+        """Return how a PLY kind is stored."""
+        return "f8" if self.is_text else self.order + kind
+
+    def hold(self, kind: npt.DTypeLike, count: int) -> bool:
+        """Tell whether so many are left."""
+        return count * np.dtype(kind).itemsize <= len(self.data) - self.at
+
+    def take(self, kind: npt.DTypeLike, count: int) -> Array:
+        """Return the next ones; raise before anything is allocated for a count that the file cannot hold."""
+        if not self.hold(kind, count):
+            raise ValueError(f"it promises {count} rows or numbers more than are left")
+        values = np.frombuffer(self.data, kind, count, self.at)
+        self.at += values.nbytes
+        return values
+
+    def of_kind(self, values: Array, kind: str) -> Array:
+        """Return them as a PLY kind; of a text NaN and what exceeds an integer raise."""
+        is_integer = self.is_text and np.dtype(kind).kind in "iu"
+        if is_integer and not ((values >= np.iinfo(kind).min) & (values <= np.iinfo(kind).max)).all():
+            raise ValueError(f"a number does not fit into {kind}")
+        with np.errstate(over="ignore"):  # a double beyond float's range becomes infinite: refused later
+            return values.astype(kind)
+
+
+def _table(element: "PlyElement", numbers: _Numbers) -> dict[str, Any]:
     """Read one element; one whose lists are all as long as those of its first row takes the fast way."""
-    end = at
-
-    def take(kind: str, count: int) -> Array:
-        nonlocal end
-        size = count * np.dtype(kind).itemsize
-        require_bytes(data, end, size)
-        end += size
-        return np.frombuffer(data, order + kind, count, end - size)
-
-    first = _rows(element, repeat(take, min(1, element.count)))
-    fields: list[tuple[str, str, tuple[int, ...]]] = []
-    lengths = {}
+    start = numbers.at
+    first = _rows(element, numbers, min(1, element.count))
+    numbers.at = start
+    fields: list[Any] = []
     for p in element.properties:
         if p.count_kind:
-            lengths[p.name] = len(first[p.name][0]) if element.count else 0
-            fields.append(("\0" + p.name, order + p.count_kind, ()))
-        fields.append((p.name, order + p.kind, (lengths[p.name],) if p.count_kind else ()))
-    row = np.dtype(fields)
-    if not lengths:
-        require_bytes(data, at, element.count * row.itemsize)
-    if element.count * row.itemsize <= len(data) - at:
-        table = np.frombuffer(data, row, element.count, at)
-        if all((table["\0" + name] == length).all() for name, length in lengths.items()):
-            return {p.name: table[p.name].astype(p.kind) for p in element.properties}, at + table.nbytes
-    end = at
-    return _rows(element, repeat(take, element.count)), end
+            fields.append(("\0" + p.name, numbers.stored(p.count_kind)))
+        length = (len(first[p.name][0]) if element.count else 0,) if p.count_kind else ()
+        fields.append((p.name, numbers.stored(p.kind), length))
+    row, lists = np.dtype(fields), [p.name for p in element.properties if p.count_kind]
+    if not lists or numbers.hold(row, element.count):
+        table = numbers.take(row, element.count)
+        if all((table["\0" + name] == table[name].shape[1]).all() for name in lists):
+            return {p.name: numbers.of_kind(table[p.name], p.kind) for p in element.properties}
+        numbers.at = start
+    return _rows(element, numbers, element.count)
 
 
-def _ascii_table(element: "PlyElement", lines: Any) -> dict[str, Any]:
-    text = [next(lines) for _ in range(element.count)]
-    if element.count and not element.has_list:
-        values = np.loadtxt(text, ndmin=2)
-        return {p.name: _of_kind(values[:, i], p.kind) for i, p in enumerate(element.properties)}
-
-    def take_from(line: bytes) -> Callable[[str, int], Array]:
-        words = iter(line.split())
-        return lambda kind, count: _of_kind([float(next(words)) for _ in range(count)], kind)
-
-    return _rows(element, map(take_from, text))
-
-
-def _rows(element: "PlyElement", takes: Iterable[Callable[[str, int], Array]]) -> dict[str, Any]:
-    """Read rows one by one. takes: of each row, what returns its next numbers of a kind, so many."""
+def _rows(element: "PlyElement", numbers: _Numbers, count: int) -> dict[str, Any]:
+    """Read rows one by one."""
     table: dict[str, list[Array]] = {p.name: [] for p in element.properties}
-    for take in takes:
+    for _ in range(count):
         for p in element.properties:
-            length = int(take(p.count_kind, 1)[0]) if p.count_kind else 1
+            length = int(numbers.take(numbers.stored(p.count_kind), 1)[0]) if p.count_kind else 1
             if length < 0:
                 raise ValueError("a list of negative length")
-            table[p.name].append(take(p.kind, length))
+            table[p.name].append(numbers.of_kind(numbers.take(numbers.stored(p.kind), length), p.kind))
     return {
         p.name: table[p.name] if p.count_kind else np.concatenate(table[p.name] or [np.empty(0)])
         for p in element.properties
     }
-
-
-def _of_kind(values: Any, kind: str) -> Array:
-    """Numbers of a text as a PLY kind; NaN and what exceeds an integer raise instead of wrapping round."""
-    numbers = np.asarray(values, dtype=np.float64)
-    is_integer = np.dtype(kind).kind in "iu"
-    if is_integer and not ((numbers >= np.iinfo(kind).min) & (numbers <= np.iinfo(kind).max)).all():
-        raise ValueError(f"a number does not fit into {kind}")
-    with np.errstate(over="ignore"):  # a double beyond float's range becomes infinite, which is refused later
-        return numbers.astype(kind)
-
-
-def require_bytes(data: bytes, at: int, size: int) -> None:
-    """Raise before anything is allocated for a count that the file cannot hold."""
-    if at + size > len(data):
-        raise ValueError(f"needs {size} bytes, {len(data) - at} are left")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -241,11 +226,6 @@ class PlyElement:
     name: str
     count: int
     properties: list[PlyProperty] = field(default_factory=list)
-
-    @property
-    def has_list(self) -> bool:
-        """True if a property is a list."""
-        return any(p.count_kind for p in self.properties)
 
     @property
     def most_bytes(self) -> int:

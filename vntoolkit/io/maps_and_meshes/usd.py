@@ -312,38 +312,34 @@ def add_material(stage: Any, surface: Any, mesh: Mesh, texture: SurfaceTexture |
         shader.CreateIdAttr(kind)
         return shader
 
-    def vertex_colours() -> Any:
-        reader = node("Colour", "UsdPrimvarReader_float3")
-        reader.CreateInput("varname", kinds.String).Set("displayColor")
-        return reader.CreateOutput("result", kinds.Float3)
+    def primvar(name: str, varname: str, size: int) -> Any:
+        reader = node(name, f"UsdPrimvarReader_float{size}")
+        reader.CreateInput("varname", kinds.String).Set(varname)
+        return reader.CreateOutput("result", kinds.Float3 if size == 3 else kinds.Float2)
+
+    def texels(name: str, file: Path, space: str) -> tuple[Any, Any]:
+        image = node(name, "UsdUVTexture")
+        image.CreateInput("file", kinds.Asset).Set(Sdf.AssetPath(f"./{file.name}"))
+        image.CreateInput("sourceColorSpace", kinds.Token).Set(space)
+        for wrap in ("wrapS", "wrapT"):
+            image.CreateInput(wrap, kinds.Token).Set("clamp")
+        image.CreateInput("st", kinds.Float2).ConnectToSource(st)
+        return image, image.CreateOutput("rgb", kinds.Float3)
 
     shader = node("Matte", "UsdPreviewSurface")
     colour = shader.CreateInput("diffuseColor", kinds.Color3f)
     shader.CreateInput("roughness", kinds.Float).Set(1.0)
-    if texture is not None and mesh.uv is not None:
-        places = node("Places", "UsdPrimvarReader_float2")
-        places.CreateInput("varname", kinds.String).Set("st")
-        st = places.CreateOutput("result", kinds.Float2)
-        if texture.albedo is None and mesh.colours is not None:
-            colour.ConnectToSource(vertex_colours())
-        for name, file, space in (("Albedo", texture.albedo, "sRGB"), ("Normal", texture.normal, "raw")):
-            if file is None:
-                continue
-            image = node(name, "UsdUVTexture")
-            image.CreateInput("file", kinds.Asset).Set(Sdf.AssetPath(f"./{file.name}"))
-            image.CreateInput("sourceColorSpace", kinds.Token).Set(space)
-            for wrap in ("wrapS", "wrapT"):
-                image.CreateInput(wrap, kinds.Token).Set("clamp")
-            image.CreateInput("st", kinds.Float2).ConnectToSource(st)
-            output = image.CreateOutput("rgb", kinds.Float3)
-            if name == "Albedo":
-                colour.ConnectToSource(output)
-            else:
-                image.CreateInput("scale", kinds.Float4).Set(Gf.Vec4f(2, 2, 2, 1))
-                image.CreateInput("bias", kinds.Float4).Set(Gf.Vec4f(-1, -1, -1, 0))
-                shader.CreateInput("normal", kinds.Normal3f).ConnectToSource(output)
-    elif mesh.colours is not None:
-        colour.ConnectToSource(vertex_colours())
+    shown_texture = texture if mesh.uv is not None else None
+    if mesh.colours is not None and (shown_texture is None or shown_texture.albedo is None):
+        colour.ConnectToSource(primvar("Colour", "displayColor", 3))
+    if shown_texture is not None:
+        st = primvar("Places", "st", 2)
+        if shown_texture.albedo is not None:
+            colour.ConnectToSource(texels("Albedo", shown_texture.albedo, "sRGB")[1])
+        image, output = texels("Normal", shown_texture.normal, "raw")
+        image.CreateInput("scale", kinds.Float4).Set(Gf.Vec4f(2, 2, 2, 1))
+        image.CreateInput("bias", kinds.Float4).Set(Gf.Vec4f(-1, -1, -1, 0))
+        shader.CreateInput("normal", kinds.Normal3f).ConnectToSource(output)
     shown = shader.CreateOutput("surface", kinds.Token)
     material.CreateSurfaceOutput().ConnectToSource(shown)
     UsdShade.MaterialBindingAPI.Apply(surface.GetPrim()).Bind(material)

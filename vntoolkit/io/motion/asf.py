@@ -18,13 +18,12 @@ from vntoolkit.arrays import FloatArray, Vector3
 from vntoolkit.errors import BadMotion
 from vntoolkit.geometry.motion import Motion, Skeleton
 from vntoolkit.io.conventions import motion_with_axes_turned
-from vntoolkit.io.files import read_text
+from vntoolkit.io.files import read_text, text_lines
 from vntoolkit.io.motion.bvh import require_motion_file
 
 CMU_FRAME_RATE_HZ = 120.0  # AMC carries no rate; the CMU library's takes are recorded at 120 Hz
 _INCH_M = 0.0254
 _DEG_PER_RAD = 180.0 / np.pi
-_MAX_LINE = 65536
 _LONGEST_REASON = 200
 _LARGEST = 1e12  # of a length or an angle
 _FRAME = re.compile(r"[0-9]{1,9}")
@@ -102,24 +101,23 @@ def _read_amc(path: Path, figure: _Figure) -> tuple[FloatArray, bool]:
     rows = array("d")
     values: dict[str, list[float]] = {}
     frame, degrees = 0, figure.degrees
-    with path.open(encoding="utf-8", errors="replace") as file:
-        for number, line in enumerate(iter(lambda: file.readline(_MAX_LINE), ""), start=1):
-            words = line.split()
-            if not words or words[0].startswith("#"):
-                continue
-            where = f"{path.name}, line {number}"
-            if words[0].startswith(":"):
-                degrees = {":DEGREES": True, ":RADIANS": False}.get(words[0].upper(), degrees)
-            elif len(words) == 1 and _FRAME.fullmatch(words[0]):
-                if frame:
-                    rows.extend(_whole_frame(values, channels, f"{where}: frame {frame}"))
-                    if int(words[0]) != frame + 1:
-                        raise BadMotion(f"{where}: expected frame {frame + 1}, got {words[0][:20]}")
-                frame, values = int(words[0]), {}
-            elif not frame:
-                raise BadMotion(f"{where}: expected a frame number, got {words[0][:40]!r}")
-            else:
-                values[words[0]] = _bone_values(words, channels, where)
+    for number, line in enumerate(text_lines(path, BadMotion), start=1):
+        words = line.split()
+        where = f"{path.name}, line {number}"
+        if not words or words[0].startswith("#"):
+            continue
+        if words[0].startswith(":"):
+            degrees = {":DEGREES": True, ":RADIANS": False}.get(words[0].upper(), degrees)
+        elif len(words) == 1 and _FRAME.fullmatch(words[0]):
+            if frame:
+                rows.extend(_whole_frame(values, channels, f"{where}: frame {frame}"))
+                if int(words[0]) != frame + 1:
+                    raise BadMotion(f"{where}: expected frame {frame + 1}, got {words[0][:20]}")
+            frame, values = int(words[0]), {}
+        elif not frame:
+            raise BadMotion(f"{where}: expected a frame number, got {words[0][:40]!r}")
+        else:
+            values[words[0]] = _bone_values(words, channels, where)
     if not frame:
         raise BadMotion(f"{path.name}: no frame found: the file is empty or not AMC")
     rows.extend(_whole_frame(values, channels, f"{path.name}, last frame: frame {frame}"))
@@ -221,12 +219,10 @@ def _blocks(lines: list[list[str]]) -> Iterator[dict[str, list[str]]]:
     """Yield each `begin … end` block as {keyword: values}; the brackets of `limits` are not needed."""
     block: dict[str, list[str]] | None = None
     for words in lines:
-        if words[0] == "begin":
-            if block is not None:
-                raise BadMotion("a bone begins inside another one")
+        if (words[0] == "begin") == (block is not None):
+            raise BadMotion(f"expected {'begin' if block is None else 'end'} of a bone, got {words[0]!r}")
+        if block is None:
             block = {}
-        elif block is None:
-            raise BadMotion(f"expected begin, got {words[0]!r}")
         elif words[0] == "end":
             yield block
             block = None

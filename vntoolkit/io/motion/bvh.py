@@ -12,7 +12,6 @@ import re
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from io import TextIOWrapper
 from pathlib import Path
 
 import numpy as np
@@ -28,7 +27,7 @@ from vntoolkit.io.files import require_size
 MAX_MOTION_BYTES = 256 * 2**20  # ten minutes at 120 Hz of 31 joints are 50 MB
 MAX_DEPTH = 256  # of joints one below the other; a figure's fingers are a dozen deep
 MAX_JOINTS = 4096
-_MAX_HEADER_LINE = 4096  # characters
+_LONGEST_HIERARCHY = 1 << 20  # characters
 _MOVED = 1e-3  # of the skeleton's size: less is the rounding of files
 _WRITTEN_ORDER = "ZXY"
 _CHANNELS = {f"{axis}{kind}" for axis in "xyz" for kind in ("position", "rotation")}
@@ -49,46 +48,31 @@ class _Joint:
 
 
 class _Words:
-    """The words of a hierarchy with their lines, read on demand, so that a flood of them takes no memory.
+    """The words of a text from one place on; `line` is that of the last one taken."""
 
-    after: the line behind MOTION, once that is read.
-    """
+    def __init__(self, text: str, name: str, at: int = 0) -> None:
+        self.text, self.name, self.at = text, name, at
+        self._found = _WORD.finditer(text, at)
 
-    def __init__(self, file: TextIOWrapper, name: str) -> None:
-        self.name, self.line, self.after = name, 0, ""
-        self._words = self._read(file)
-
-    def _read(self, file: TextIOWrapper) -> Iterator[str]:
-        rest, before, whole = "", "", True
-        while piece := file.readline(_MAX_HEADER_LINE):
-            self.line += whole
-            whole, piece, rest = piece.endswith("\n"), rest + piece, ""
-            for found in _WORD.finditer(piece):
-                word = found[0]
-                is_cut = found.end() == len(piece) and word not in "{}"
-                if is_cut and len(word) < _MAX_HEADER_LINE:
-                    rest = word
-                    break
-                if word.upper() == "MOTION" and before == "}":
-                    self.after = piece[found.end() :]
-                    yield "MOTION"
-                    return
-                yield word
-                before = word
-        if rest:
-            yield rest
-        raise self.fault("no MOTION section: the file is truncated or not BVH")
+    @property
+    def line(self) -> int:
+        return self.text.count("\n", 0, self.at) + 1
 
     def fault(self, what: str) -> BadMotion:
         return BadMotion(f"{self.name}: line {self.line}: {what}")
 
     def next(self) -> str:
-        return next(self._words)
+        found = next(self._found, None)
+        if found is None:
+            raise self.fault("no MOTION section: the file is truncated or not BVH")
+        self.at = found.end()
+        return found[0]
 
     def numbers(self, count: int) -> list[float]:
-        return [self.number(self.next()) for _ in range(count)]
+        return [self.number() for _ in range(count)]
 
-    def number(self, word: str) -> float:
+    def number(self) -> float:
+        word = self.next()
         try:
             value = float(word.replace(",", "."))
         except ValueError:
@@ -102,8 +86,6 @@ class _Words:
         words: list[str] = []
         while (word := self.next()) != "{":
             words.append(word)
-            if len(" ".join(words)) >= _MAX_HEADER_LINE:
-                raise self.fault(f"the name of a joint has {_MAX_HEADER_LINE} characters")
             if word in ("}", "OFFSET", "MOTION"):
                 raise self.fault(f"expected {{ after a joint's name, got '{word}'")
         return " ".join(words)
@@ -120,10 +102,11 @@ def read_bvh(path: Path) -> Motion:
         marks = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
         encoding = "utf-16" if start.read(2) in marks else "utf-8-sig"
     with path.open(encoding=encoding, errors="replace") as file:
-        words = _Words(file, path.name)
+        words = _Words(file.read(_LONGEST_HIERARCHY), path.name)
         joints = _read_hierarchy(words)
-        width = sum(len(joint.channels or ()) for joint in joints)
-        values, frame_s = _read_frames(words, words.after + file.read(), width)
+        words.text += file.read()
+    width = sum(len(joint.channels or ()) for joint in joints)
+    values, frame_s = _read_frames(words, width)
     offsets = np.array([joint.offset for joint in joints])
     rotations = np.empty((len(values), len(joints), 4))
     root_positions = np.tile(offsets[0], (len(values), 1))
@@ -247,33 +230,29 @@ def _read_channels(words: _Words) -> list[str]:
     return channels
 
 
-def _read_frames(words: _Words, text: str, channels: int) -> tuple[FloatArray, float]:
+def _read_frames(words: _Words, channels: int) -> tuple[FloatArray, float]:
     """Return the values (f, channels) below MOTION, and the time of a frame in seconds."""
-    timing = _TIMING.match(text)
+    from vntoolkit.io.text_numbers import numbers_of_text
+
+    timing = _TIMING.match(words.text, words.at)
     if timing is None:
         raise words.fault("expected 'Frames: N' and 'Frame Time: SECONDS' after MOTION")
-    count, frame_s = timing[1], words.number(timing[2])
+    count, frame_s = timing[1], _Words(words.text, words.name, timing.start(2)).number()
     if not count.isdigit() or int(count) == 0:
         raise words.fault(f"expected at least one frame, got 'Frames: {count[:40]}'")
     if frame_s <= 0:
         raise words.fault(f"expected a frame time above 0 s, got {frame_s:g}")
-    numbers = text[timing.end() :]
+    numbers = words.text[timing.end() :]
     if "," in numbers and "." in numbers:
         raise words.fault("the frames hold both commas and points: which of them is decimal?")
-    if not numbers.strip():
-        raise words.fault(f"expected {count} frames of {channels} numbers, got none")
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")
-            values = np.fromstring(numbers.replace(",", "."), sep=" ")
-    except (ValueError, DeprecationWarning):
+        values = numbers_of_text(numbers.replace(",", "."))
+    except ValueError:
         values = np.array([np.nan])
     if not np.isfinite(values).all():
-        words.line += text.count("\n", 0, timing.end())
-        for line in numbers.split("\n"):
-            for word in line.split():
-                words.number(word)  # the first that is none raises
-            words.line += 1
+        rest = _Words(words.text, words.name, timing.end())
+        while True:
+            rest.number()  # the first that is none raises
     if len(values) != int(count) * channels:
         raise words.fault(
             f"expected {count} frames of {channels} numbers, got {len(values)} numbers, "

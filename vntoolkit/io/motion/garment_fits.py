@@ -4,34 +4,30 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, FiniteFloat, ValidationError
 from scipy.spatial.transform import Rotation
 
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.garment_fit import GarmentFit, Landmark
 from vntoolkit.geometry.rigid import RigidTransform
 from vntoolkit.io.conventions import graphics_from_camera
-from vntoolkit.io.files import parse_json, read_text
-from vntoolkit.io.rigs import one_line_from_validation
+from vntoolkit.io.files import read_json
+from vntoolkit.io.rigs import Entry, one_line_from_validation
 
-_Triple = tuple[float, float, float]
+_Triple = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 _EXPECTED = "a JSON file that corrects how a garment sits"
 _ZERO: _Triple = (0.0, 0.0, 0.0)
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class _Landmark(_Strict):
+class _Landmark(Entry):
     vertex: int = Field(ge=0)
     joint: str
     offset_m: _Triple = _ZERO
 
 
-class _Fit(_Strict):
+class _Fit(Entry):
     version: Literal[1]
-    scale: float = Field(default=1.0, gt=0)
+    scale: FiniteFloat = Field(default=1.0, gt=0)
     rotation_deg: _Triple = _ZERO
     translation_m: _Triple = _ZERO
     landmarks: tuple[_Landmark, ...] = ()
@@ -41,7 +37,7 @@ class _Fit(_Strict):
 
 def read_garment_fit(path: Path | str) -> GarmentFit:
     """Read a fit file into camera axes; angles turn about x, then y, then z. Raises `BadInput`."""
-    content = parse_json(read_text(path, expected=_EXPECTED), str(path), expected=_EXPECTED)
+    content = read_json(path, expected=_EXPECTED)
     try:
         fit = _Fit.model_validate(content)
     except ValidationError as error:

@@ -4,7 +4,6 @@ The messages are sensor_msgs/msg/Image and CompressedImage of ROS 2. They are co
 log times, which are kept.
 """
 
-import os
 from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
@@ -14,6 +13,7 @@ from vntoolkit.arrays import Array
 from vntoolkit.errors import BadCapture
 from vntoolkit.io.files import require_file
 from vntoolkit.io.footage.captures import CaptureInfo, CaptureOptions
+from vntoolkit.io.footage.decoding import EncodedFrame
 from vntoolkit.io.footage.sequence import CaptureKind
 from vntoolkit.io.recordings.recorded import Stamp
 from vntoolkit.io.recordings.ros_pictures import rgb_from_message
@@ -21,52 +21,64 @@ from vntoolkit.libraries import require_installed
 
 _SCHEMAS = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 _NS = 1_000_000_000
-_MAGIC = b"\x89MCAP0\r\n"  # the first and the last bytes of a recording
-_RECOVER = "run `mcap recover FILE -o WHOLE.mcap`, and give what it writes"
 
 
 class RecordingReader:
-    """Frames of one topic of a recording as RGB arrays, uint8 or uint16. Raises `BadCapture`."""
+    """Frames of one topic of a recording, uint8 or uint16. Raises `BadCapture`."""
 
     def __init__(self, path: Path, topic: str, options: CaptureOptions) -> None:
         require_installed("mcap_ros2", "'vntoolkit[mcap]'", "MCAP recordings are read by mcap-ros2-support")
         self.path = require_file(path, BadCapture)
-        _require_whole(self.path)
         self._options = options
         self.topic = self._camera_topic(topic)
         first = next(self._messages(0), None)
         if first is None:
             raise BadCapture(f"{path}: topic {self.topic} holds no message")
-        picture = self._rgb(first[1], 0)
-        self.height, self.width = picture.shape[:2]
-        self.bits = 8 * picture.dtype.itemsize
-        stored = str(getattr(first[1], "format", ""))  # of a compressed picture
-        self.encoding = stored or str(first[1].encoding)
-        self.codec = ("PNG" if "png" in stored.lower() else "JPEG") if stored else "rawvideo"
+        self._first = first[1]
+
+    @cached_property
+    def info(self) -> CaptureInfo:
+        """What the topic holds."""
+        picture, count, rate_hz = self._rgb(self._first, 0), len(self.stamps), self._options.frame_rate_hz
+        stored = str(getattr(self._first, "format", ""))  # of a compressed picture
+        encoding = stored or str(self._first.encoding)
+        times = tuple((stamp.logged_ns - self.stamps[0].logged_ns) / _NS for stamp in self.stamps)
+        are_apart = len(set(times)) == count
+        measured_hz = (count - 1) / times[-1] if are_apart and count > 1 else None
+        return CaptureInfo(
+            kind=CaptureKind.VIDEO,
+            width=picture.shape[1],
+            height=picture.shape[0],
+            frame_count=count,
+            frame_rate_hz=rate_hz or measured_hz,
+            pixel_format=encoding,
+            bits=8 * picture.dtype.itemsize,
+            codec=("PNG" if "png" in stored.lower() else "JPEG") if stored else "rawvideo",
+            chroma="Bayer" if encoding.startswith("bayer") else "4:4:4",
+            files=(self.path,),
+            promised_frame_count=count,
+            times_s=times if are_apart and rate_hz is None else (),
+            unusable_times="" if are_apart else "two of its pictures were logged at one time",
+        )
 
     @cached_property
     def stamps(self) -> tuple[Stamp, ...]:
         """When each frame was filmed."""
         return tuple(stamp for stamp, _ in self._messages(0))
 
-    @property
-    def times_s(self) -> tuple[float, ...]:
-        """When each frame was logged, seconds from the first; empty where two have one time."""
-        times = [(stamp.logged_ns - self.stamps[0].logged_ns) / _NS for stamp in self.stamps]
-        return tuple(times) if len(set(times)) == len(times) else ()
-
     def nearest_key_frame(self, number: int) -> int:
         """Return the frame itself: each is stored whole."""
         return number
 
-    def frames(self, start: int = 0, stop: int | None = None, step: int = 1) -> Iterator[tuple[int, Array]]:
-        """Yield (number, RGB array) for the frames start, start + step, … below stop."""
+    def frames(self, start: int = 0, stop: int | None = None, step: int = 1) -> Iterator[EncodedFrame]:
+        """Yield the frames start, start + step, … below stop."""
         wanted = range(start, stop if stop is not None else 1 << 62, step)
         for number, (_, message) in enumerate(self._messages(start), start):
             if number >= wanted.stop:
                 return
             if number in wanted:
-                yield number, self._rgb(message, number)
+                values, name = self._rgb(message, number), f"{self.path}, frame {number}"
+                yield EncodedFrame(values=values, bits=self.info.bits, number=number, name=name)
 
     def _messages(self, start: int) -> Iterator[tuple[Stamp, Any]]:
         """The messages of the frames from `start` on, read from their time on."""
@@ -124,53 +136,16 @@ class RecordingReader:
         except AttributeError as error:  # a schema without a field of pictures
             raise self._damaged(error) from error
         height, width = image.shape[:2]
-        if number and (width, height) != (self.width, self.height):
+        if number and (width, height) != (self.info.width, self.info.height):
             raise BadCapture(
-                f"{name}: is {width}×{height}, the first one {self.width}×{self.height}: a capture has one "
-                "size"
+                f"{name}: is {width}×{height}, the first one {self.info.width}×{self.info.height}: a capture "
+                "has one size"
             )
         return image
 
     def _damaged(self, reason: object) -> BadCapture:
         why = " ".join(str(reason).split()) or type(reason).__name__
         return BadCapture(
-            f"{self.path}: is damaged between its beginning and its end ({why:.80}); {_RECOVER}"
+            f"{self.path}: expected a whole MCAP recording, got a damaged one or another file ({why:.80}); "
+            "copy it again, or run `mcap recover FILE -o WHOLE.mcap` and give what it writes"
         )
-
-
-def _require_whole(path: Path) -> None:
-    """Raise `BadCapture` for a file that is no recording, and for one that was cut off."""
-    with path.open("rb") as stream:
-        first, size = stream.read(len(_MAGIC)), stream.seek(0, os.SEEK_END)
-        stream.seek(max(size - len(_MAGIC), 0))
-        last = stream.read()
-    if first != _MAGIC:
-        raise BadCapture(
-            f"{path}: expected an MCAP recording, got a file whose first bytes are not those of one; give "
-            "the file that the recorder wrote, or copy it again"
-        )
-    if last != _MAGIC or size < 2 * len(_MAGIC):
-        raise BadCapture(
-            f"{path}: ends early, after {size} bytes, without the mark that ends a recording; {_RECOVER}"
-        )
-
-
-def info_of_recording(reader: RecordingReader, rate_hz: float | None) -> CaptureInfo:
-    """What the topic of a recording holds. rate_hz: at which it was filmed, whatever the times say."""
-    times, count = reader.times_s, len(reader.stamps)
-    measured = (count - 1) / times[-1] if len(times) > 1 else None
-    return CaptureInfo(
-        kind=CaptureKind.VIDEO,
-        width=reader.width,
-        height=reader.height,
-        frame_count=count,
-        frame_rate_hz=rate_hz or measured,
-        pixel_format=reader.encoding,
-        bits=reader.bits,
-        codec=reader.codec,
-        chroma="Bayer" if reader.encoding.startswith("bayer") else "4:4:4",
-        files=(reader.path,),
-        promised_frame_count=count,
-        times_s=() if rate_hz else times,
-        unusable_times="" if times else "two of its pictures were logged at one time",
-    )

@@ -19,16 +19,12 @@ from typing import Any
 
 from vntoolkit.errors import BadInput, CannotWrite
 from vntoolkit.io.atomic import cannot_write, require_writable_folder, write_text
-from vntoolkit.io.files import parse_json, read_text
+from vntoolkit.io.files import read_json
 from vntoolkit.io.results.numbered_files import remove_if_empty, remove_numbered
 
 LOCK_NAME = ".vntoolkit.lock"
 MOST_FRAMES = 10**6  # the names of their files have six digits
 _LOGGER = logging.getLogger(__name__)
-
-
-def _read_record(path: Path) -> Any:
-    return parse_json(read_text(path), str(path))
 
 
 def _text_of_record(record: Any) -> str:
@@ -70,7 +66,7 @@ class FolderKind:
     frames: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     clear_frame: Callable[[Path], None] | None = None
     foreign: tuple[str, ...] = ()
-    read: Callable[[Path], Any] = _read_record
+    read: Callable[[Path], Any] = read_json
     text: Callable[[Any], str] = _text_of_record
     request: Callable[[Any], Mapping[str, Any]] = flat
     grows: tuple[str, ...] = ()

@@ -18,7 +18,7 @@ from pydantic import Field, ValidationError, model_validator
 
 from vntoolkit.arrays import FloatArray
 from vntoolkit.errors import BadInput
-from vntoolkit.io.files import parse_json, read_text
+from vntoolkit.io.files import read_json
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.results.frame_log import FRAMES_NAME, FrameLog
 from vntoolkit.io.results.numbered_files import numbers_in_words, numbers_on_disk
@@ -235,7 +235,7 @@ def read_manifest(folder: Path | str) -> Manifest:
     if not has_manifest(folder):
         found = f"holds no {MANIFEST_NAME}" if Path(folder).is_dir() else "is no folder"
         raise BadInput(f"{folder}: {found}; give a folder that `vntoolkit reconstruct` wrote")
-    content = parse_json(read_text(path), str(path))
+    content = read_json(path)
     try:
         stated = content.get("version") if isinstance(content, dict) else MANIFEST_VERSION
         if stated != MANIFEST_VERSION or isinstance(stated, bool):

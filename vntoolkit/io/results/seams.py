@@ -14,14 +14,14 @@ import numpy as np
 from vntoolkit.arrays import Points2
 from vntoolkit.errors import BadInput
 from vntoolkit.io.atomic import write_text
-from vntoolkit.io.files import parse_json, read_text
+from vntoolkit.io.files import read_json
 
 _EXPECTED = 'polylines in pixels, {"seams": [[[u, v], [u, v], ...], ...]}'
 
 
 def read_seams(path: Path | str) -> tuple[Points2, ...]:
     """Read the seams, each (k, 2) float64 with k >= 2. Raises `BadInput` with one line."""
-    content = parse_json(read_text(path, expected=_EXPECTED), str(path), expected=_EXPECTED)
+    content = read_json(path, expected=_EXPECTED)
     if not isinstance(content, dict) or set(content) != {"seams"} or not isinstance(content["seams"], list):
         raise BadInput(f"{path}: expected {_EXPECTED} and no other key")
     seams = []

@@ -19,7 +19,7 @@ from vntoolkit.checks import require_finite, require_positive, require_shape
 from vntoolkit.errors import BadMesh
 from vntoolkit.geometry.mesh import Mesh, MeshSequence
 from vntoolkit.io.atomic import cannot_write, require_writable_folder, write_text
-from vntoolkit.io.files import parse_json, read_text, require_file
+from vntoolkit.io.files import read_json, require_file
 from vntoolkit.io.maps_and_meshes.arrays import map_npy
 from vntoolkit.io.maps_and_meshes.meshes import read_mesh, write_mesh
 
@@ -117,7 +117,7 @@ def read_mesh_sequence(folder: Path | str) -> MeshSequence:
     """
     folder = Path(folder)
     template = read_mesh(require_file(folder / "template.ply", BadMesh))
-    meaning = parse_json(read_text(folder / "sequence.json", BadMesh), str(folder / "sequence.json"), BadMesh)
+    meaning = read_json(folder / "sequence.json", BadMesh)
     try:
         rate = float(meaning["frame_rate_hz"])
         times_s = None if meaning.get("times_s") is None else np.array(meaning["times_s"], dtype=np.float64)
