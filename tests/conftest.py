@@ -11,6 +11,10 @@ set_thread_policy()  # before numpy is loaded: as the workers do, which must rou
 import numpy as np  # noqa: E402
 import pytest  # noqa: E402
 
+from tests.dome_result import dome_result  # noqa: E402
+
+__all__ = ["dome_result"]
+
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Take the files from both ends in turn: two workers in one room would compile the same loops."""
