@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from vntoolkit.__main__ import main
+from vntoolkit.cli import doctor
 from vntoolkit.cli.output import print_table
 from vntoolkit.diagnosis.finding import Level
 from vntoolkit.diagnosis.inspection import findings_from_clipping, inspect_capture
@@ -111,13 +112,14 @@ def test_lossless_rgb_video_is_praised_and_a_cut_one_named(tmp_path, picture):
     assert "it declares 5 frames, 3 came" in _texts(inspect_capture(tmp_path / "a.mkv"), Level.FATAL)[0]
 
 
-def test_the_verb_prints_findings_and_sets_its_status(tmp_path, picture, rig, capsys):
+def test_the_verb_prints_findings_and_sets_its_status(tmp_path, picture, rig, capsys, monkeypatch):
     write_rig(tmp_path / "rig.json", rig)
     _store(tmp_path / "a.png", picture[..., ::-1])
     assert main(["doctor", str(tmp_path / "a.png"), "--rig", str(tmp_path / "rig.json")]) == 1
     assert "red and blue exchanged" in capsys.readouterr().out
     _store(tmp_path / "a.png", np.zeros_like(picture))
     assert main(["doctor", str(tmp_path / "a.png")]) == 1
+    monkeypatch.setattr(doctor, "_LIBRARIES", doctor._LIBRARIES[:2])
     assert main(["doctor"]) == 0
     assert main(["doctor", str(tmp_path / "none.mkv")]) == 1
     error = capsys.readouterr().err

@@ -109,7 +109,8 @@ def _findings_in_weave(light, matrix, light_colours):
     return [finding for finding in found if finding.level is not Level.NOTE]
 
 
-@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 3))])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [0, 2, 3])
 def test_a_tartan_tells_which_mistake_was_made(seed):
     """As of one material its squares leave no surface; their steps tell the paint, whatever M is."""
     light, response = _tartan(seed)

@@ -196,8 +196,8 @@ def run(*arguments: str, **changed: str) -> subprocess.CompletedProcess[str]:
 
 @pytest.mark.parametrize(
     ("changed", "status"),
-    [({"COLUMNS": "0", "PYTHONIOENCODING": "ascii", "LANG": "C", "MPLBACKEND": "nosuch"}, 0),
-     ({"HOME": "/nonexistent", "TMPDIR": "/nonexistent"}, 0), ({"SOURCE_DATE_EPOCH": "tomorrow"}, 1)],
+    [({"COLUMNS": "0", "PYTHONIOENCODING": "ascii", "LANG": "C", "MPLBACKEND": "nosuch",
+       "HOME": "/nonexistent", "TMPDIR": "/nonexistent"}, 0), ({"SOURCE_DATE_EPOCH": "tomorrow"}, 1)],
 )  # fmt: skip
 def test_an_odd_environment_is_no_fault_of_ours(good, tmp_path, changed, status):
     maps = good / "maps/n.exr"
