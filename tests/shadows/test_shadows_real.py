@@ -1,9 +1,11 @@
 """Self-shadows of real statues and faces, against normals from many lights."""
 
+from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 
 import pytest
+from _pytest.mark.structures import ParameterSet
 
 from recipes.real_objects import ReferencedCapture, read_capture
 from vntoolkit.arrays import VisibilityLabels
@@ -26,12 +28,17 @@ def recovered_capture(folder: Path, name: str) -> tuple[ReferencedCapture, Visib
     return capture, labels, found
 
 
+def one_face_by_default(names: Iterable[str]) -> list[ParameterSet]:
+    """Return all as parameters; but one is slow."""
+    return [pytest.param(n, marks=() if n == "yaleB01" else pytest.mark.slow) for n in names]
+
+
 # Mean error over all pixels, and over pixels in one shadow. Measured: 8.15 and 17.7; 8.04 and 16.7; 7.43 and
 # 19.8 degrees.
 BOUNDS = {"buddha": (8.2, 17.8), "yaleB01": (8.1, 16.8), "yaleB02": (7.5, 19.9)}
 
 
-@pytest.mark.parametrize("name", BOUNDS)
+@pytest.mark.parametrize("name", one_face_by_default(BOUNDS))
 def test_found_shadows_are_recovered_on_photographs(real_data: Path, name: str) -> None:
     capture, labels, found = recovered_capture(real_data, name)
     inverted = recover_normals(
@@ -52,7 +59,7 @@ def test_found_shadows_are_recovered_on_photographs(real_data: Path, name: str) 
 SHARPNESS = {"buddha": 2.5, "cat": 2.5, "yaleB01": 2.5, "yaleB02": 3.3}
 
 
-@pytest.mark.parametrize("name", SHARPNESS)
+@pytest.mark.parametrize("name", one_face_by_default(SHARPNESS))
 def test_expected_errors_of_photographs_are_true_and_sharp(real_data: Path, name: str) -> None:
     capture, labels, found = recovered_capture(real_data, name)
     bounds = capture.bounds_by_lights(with_expected_error(found, capture.frame, capture.response, labels))

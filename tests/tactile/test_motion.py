@@ -1,6 +1,7 @@
 """The membrane's motion is found by dots and by texture, told in the right units, and lost where unseen."""
 
 from collections.abc import Callable
+from functools import cache
 
 import cv2
 import numpy as np
@@ -78,6 +79,7 @@ def frame(rng: np.random.Generator, paint: np.ndarray, motion: Motion, ball: np.
     return (np.round(255 * np.clip(rgb, 0, 1)) / 255).astype(np.float32)
 
 
+@cache
 def followed(name: str, dots: bool) -> tuple[Membrane, MembraneMotion, Motion, np.ndarray]:
     """A gel and its motion after ten frames, the true motion, and where the ball is."""
     rng = np.random.default_rng(3)
