@@ -595,6 +595,7 @@ def test_how_far_paint_turned_normals_is_how_far_they_are_in_doubt() -> None:
     assert np.mean(doubt[wrong]) > 1.4 * np.mean(doubt[mask & (off < 1.0)])
 
 
+@pytest.mark.slow
 def test_a_surface_that_moves_is_sought_from_the_frame_before_and_anew_where_that_is_far() -> None:
     rgb, normals, mask = (
         np.pad(each, ((0, 0), (0, 50), (0, 0))[: each.ndim]) for each in (freckled()[0].rgb, *freckled()[1:])

@@ -140,6 +140,7 @@ def test_a_run_goes_on_with_the_materials_that_it_found(striped: Request) -> Non
     assert digest(striped.folder.root) == before
 
 
+@pytest.mark.slow
 def test_a_first_try_of_frames_changes_no_byte(striped: Request, caplog: pytest.LogCaptureFixture) -> None:
     """What is found once belongs to all frames that are asked for, in whatever order."""
     tried = into(striped, "tried")
