@@ -12,8 +12,9 @@ import numpy as np  # noqa: E402
 import pytest  # noqa: E402
 
 from tests.dome_result import dome_result  # noqa: E402
+from tests.studio import footage, studio  # noqa: E402
 
-__all__ = ["dome_result"]
+__all__ = ["dome_result", "footage", "studio"]
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
