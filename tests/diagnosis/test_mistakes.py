@@ -144,7 +144,7 @@ def test_two_spots_name_no_mistake(seed):
     assert all(finding.level is Level.NOTE for finding in found), found
 
 
-@pytest.mark.parametrize("seed", [0, 2])
+@pytest.mark.parametrize("seed", [0, pytest.param(2, marks=pytest.mark.slow)])
 def test_patches_between_seams_tell_a_mirrored_axis_at_a_closer_look(seed):
     light, inside, response = _shot(seed)
     factor = 4

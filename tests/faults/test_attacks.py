@@ -224,6 +224,7 @@ def test_a_name_that_is_no_utf8_is_refused_before_the_work(good, tmp_path, capfd
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_a_damaged_or_unwritable_cache_is_passed_over(tmp_path):
     """In a process of its own: the kernels of this one are compiled."""
     kernel = "@njit(cache=True)\ndef double(x):\n    return 2 * x\nprint(double(21))\n"

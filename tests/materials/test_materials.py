@@ -192,7 +192,7 @@ def test_one_paint_is_one_material_and_a_number_is_kept() -> None:
     assert len(find_materials(searched_frames([frame], [mask], RESPONSE), 2)) == 2
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 3))])
 def test_grey_paint_is_beaten_by_a_hue_and_by_prints_and_not_by_gloss(seed: int) -> None:
     """Gloss and light between folds change light by a tenth, smoothly from place to place, for each lamp."""
     normals, mask = dome(160)
