@@ -17,15 +17,6 @@ from tests.studio import footage, studio  # noqa: E402
 __all__ = ["dome_result", "footage", "studio"]
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Take the files from both ends in turn: two workers in one room would compile the same loops."""
-    files: dict[Path, list[pytest.Item]] = {}
-    for item in items:
-        files.setdefault(item.path, []).append(item)
-    waiting = list(files.values())
-    items[:] = [item for turn in range(len(files)) for item in waiting.pop(-(turn % 2))]
-
-
 @pytest.fixture
 def rng() -> np.random.Generator:
     return np.random.default_rng(20111)
