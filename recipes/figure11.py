@@ -1,8 +1,6 @@
 """Figure 11: a captured sweater on a skeleton animated by motion capture.
 
-    python recipes/figure11.py --out out/figure11 [--motion 131_01.bvh lambada.amc] [--track DIR]  # 2 min
-
---quick: a tenth of a second of cloth, half a second of the walk.
+    python recipes/figure11.py --out out/figure11 [--motion 131_01.bvh …] [--track DIR] [--quick]   # 2 min
 
 Without --track DIR (written by `vntoolkit track`) the moving mesh is that of the simulated `sweater`, one
 second of it, played back and forth. Writes a USD, a contact sheet and a turntable for every motion.
