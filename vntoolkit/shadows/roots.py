@@ -22,7 +22,7 @@ from vntoolkit.shadows.graph_cut import lit_by_cut
 
 _PAIRS = ((1, 2, 6), (0, 2, 5), (0, 1, 3))  # the two lights that remain, and the label that says so
 _NEIGHBOURS = np.ones((3, 3), np.uint8)
-_OCCLUDER_PRICE = 0.003  # nats a pixel: a shadow that is cast needs something that throws it
+_OCCLUDER_PRICE = 0.003  # nats a pixel times pixels from the edge: farther in, what throws it is higher
 _STEPS = 0.3  # share of neighbours at a shadow with a step of depth between, where any normal is as likely
 _LAG_PX = 2  # between normals that are compared: blur makes a step look smooth nearer by
 _LEAST_SPREAD, _DARKEST = 0.01, 1e-3  # of the albedo, of which no pixel is darker
@@ -76,7 +76,8 @@ def roots_of_labels(
         flat(base), tilt, across, wide, kinds, variance, np.float32(afar), np.float32(0.5 * _STEPS), log_odds,
         east, south,
     )  # fmt: skip
-    facing = lit_by_cut(log_odds - np.float32(_OCCLUDER_PRICE), lambda _: (east, south), two, np.inf)
+    occluder = np.float32(_OCCLUDER_PRICE) * cv2.distanceTransform(two.astype(np.uint8), cv2.DIST_L2, 5)
+    facing = lit_by_cut(log_odds - occluder, lambda _: (east, south), two, np.inf)
     sine = np.sin(np.where(facing, tilt, -tilt))[..., None]
     roots = np.where(two[..., None], np.cos(tilt)[..., None] * base + sine * across[wide], light.normals)
     known = mask & ((labels == ALL_LIT) | two)
