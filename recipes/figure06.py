@@ -1,6 +1,6 @@
 """Figure 6: one coloured frame against classical photometric stereo under three white lights, on a jacket.
 
-    python recipes/figure06.py --out out/figure06        # 25 s
+    python recipes/figure06.py --out out/figure06 [--quick]        # 25 s; --quick 10 s
 
 Integrates a mesh from each method's normals, where both are valid, and aligns the coloured one to the white
 one by a similarity. Both methods know the lights.
@@ -43,12 +43,13 @@ def white_photograph(options: SceneOptions) -> tuple[np.ndarray, np.ndarray]:
     return grey, light_colours_of(scene, exposure)[0].mean() * exposure.directions[0]
 
 
-def main(out: Path) -> None:
+def main(out: Path, quick: bool = False) -> None:
     """Write figure06.png, figure06_curve.svg and numbers.json into the folder `out`."""
-    scene, free = build_scene("jacket", SceneOptions()), AlignmentOptions(align=Alignment.SIMILARITY)
+    options = SceneOptions(width=320, height=240) if quick else SceneOptions()
+    scene, free = build_scene("jacket", options), AlignmentOptions(align=Alignment.SIMILARITY)
     coloured = render_frame(scene, 0)
     truth = coloured.truth.normals
-    photographs = [white_photograph(SceneOptions(lighting=lamp)) for lamp in LAMPS]
+    photographs = [white_photograph(replace(options, lighting=lamp)) for lamp in LAMPS]
     images, lights = (np.array(each) for each in zip(*photographs, strict=True))
     maps = {
         "white": normals_from_lights(images, lights, truth.mask),
@@ -84,4 +85,6 @@ def main(out: Path) -> None:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--out", type=Path, default=Path("out/figure06"), help="folder to write")
-    main(parser.parse_args().out)
+    parser.add_argument("--quick", action="store_true", help="320x240")
+    arguments = parser.parse_args()
+    main(arguments.out, arguments.quick)

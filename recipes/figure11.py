@@ -1,6 +1,6 @@
 """Figure 11: a captured sweater on a skeleton animated by motion capture.
 
-    python recipes/figure11.py --out out/figure11 [--motion 131_01.bvh lambada.amc] [--track DIR]  # 2 min
+    python recipes/figure11.py --out out/figure11 [--motion 131_01.bvh …] [--track DIR] [--quick]   # 2 min
 
 Without --track DIR (written by `vntoolkit track`) the moving mesh is that of the simulated `sweater`, one
 second of it, played back and forth. Writes a USD, a contact sheet and a turntable for every motion.
@@ -11,6 +11,7 @@ walk_heat_sheet.png: the same with weights by heat diffusion along the cloth, th
 
 import argparse
 import itertools
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -25,35 +26,38 @@ from vntoolkit.report.recipes_page import number, write_numbers
 from vntoolkit.simulation.scene import build_scene
 
 WALK = Path(__file__).parents[1] / "data" / "walk.bvh"
-CAPTURED_FRAMES = 60
 WOOL = (0.62, 0.48, 0.36)
-CLOCK = ClockOptions(loop=Loop.PING_PONG, stop=3.0)
 STYLES = {
-    "published": DressOptions(clock=CLOCK, weights=WeightOptions(falloff=Falloff.INVERSE), max_stretch=0),
-    "heat": DressOptions(clock=CLOCK),
+    "published": DressOptions(weights=WeightOptions(falloff=Falloff.INVERSE), max_stretch=0),
+    "heat": DressOptions(),
 }
 
 
-def simulated_sweater(folder: Path) -> MeshSequence:
-    """Simulate the first second of the dancing sweater into a folder, and open it."""
+def simulated_sweater(folder: Path, frames: int) -> MeshSequence:
+    """Simulate the first frames of the dancing sweater into a folder, and open it."""
     scene = build_scene("sweater", SceneOptions())
     first = scene.vertices(0)
     colours = np.tile(np.array(WOOL, np.float32), (len(first), 1))
     template = Mesh(vertices=first, faces=scene.surface.faces, colours=colours)
     with MeshSequenceWriter(folder, template, frame_rate_hz=scene.frame_rate_hz) as writer:
-        for frame in range(CAPTURED_FRAMES):
+        for frame in range(frames):
             writer.append(scene.vertices(frame))
     return read_mesh_sequence(folder)
 
 
-def main(out: Path, motions: tuple[Path, ...] = (WALK,), track: Path | None = None) -> None:
+def main(
+    out: Path, motions: tuple[Path, ...] = (WALK,), track: Path | None = None, quick: bool = False
+) -> None:
     """Dress the figure of every motion and write the results into the folder `out`."""
     numbers = []
-    cloth = simulated_sweater(out / "sweater") if track is None else read_tracked_cloth(track)
+    captured, seconds, views = (6, 0.5, 6) if quick else (60, 3.0, 60)
+    clock = ClockOptions(loop=Loop.PING_PONG, stop=seconds)
+    cloth = simulated_sweater(out / "sweater", captured) if track is None else read_tracked_cloth(track)
     for motion, (style, options) in itertools.product(motions, STYLES.items()):
-        dressed, name = dress(cloth, read_motion(motion), options), f"{motion.stem}_{style}"
+        name = f"{motion.stem}_{style}"
+        dressed = dress(cloth, read_motion(motion), replace(options, clock=clock))
         written, here = write_dressed_figure(dressed, out / f"{name}.usdc"), f"{motion.stem}, {style}"
-        write_preview(out, name, dressed, PreviewOptions(turn_frames=60))
+        write_preview(out, name, dressed, PreviewOptions(turn_frames=views))
         found = written.findings
         numbers += [
             number(f"{here}: dressed frames written", written.frames, "frames"),
@@ -70,5 +74,6 @@ if __name__ == "__main__":
     parser.add_argument("--out", type=Path, default=Path("out/figure11"), help="folder to write")
     parser.add_argument("--motion", type=Path, nargs="+", default=[WALK], help=".bvh, or .amc beside .asf")
     parser.add_argument("--track", type=Path, help="folder that `vntoolkit track` wrote")
+    parser.add_argument("--quick", action="store_true", help="fewer frames of the cloth and of the walk")
     arguments = parser.parse_args()
-    main(arguments.out, tuple(arguments.motion), arguments.track)
+    main(arguments.out, tuple(arguments.motion), arguments.track, arguments.quick)

@@ -1,6 +1,6 @@
 """Table: error of the normals caused by each nuisance of a real camera, in degrees.
 
-    python recipes/nuisances.py --out out/nuisances [--scene cylinder] [--frame 60]        # 2 min
+    python recipes/nuisances.py --out out/nuisances [--scene cylinder] [--frame 60]    # 2 min; --quick 20 s
 
 Each nuisance alone, and all but that one. M is the true one: once that of the scene's centre, once that of
 every pixel (near lights).
@@ -68,9 +68,9 @@ def nuisance_errors(
     yield NuisanceError(name="all", alone=error(nuisances), without=None)
 
 
-def main(out: Path, scene_name: str = "cylinder", frame: int = 60) -> None:
+def main(out: Path, scene_name: str = "cylinder", frame: int = 60, quick: bool = False) -> None:
     """Write table and figure into the folder `out`."""
-    scene = build_scene(scene_name, SceneOptions())
+    scene = build_scene(scene_name, SceneOptions(width=320, height=240) if quick else SceneOptions())
     table = {
         name: list(nuisance_errors(scene, Nuisances(), frame, degree=degree))
         for name, degree in DEGREES.items()
@@ -102,5 +102,6 @@ if __name__ == "__main__":
     parser.add_argument("--out", type=Path, default=Path("out/nuisances"), help="folder to write")
     parser.add_argument("--scene", default="cylinder")
     parser.add_argument("--frame", type=int, default=60)
+    parser.add_argument("--quick", action="store_true", help="320x240")
     arguments = parser.parse_args()
-    main(arguments.out, arguments.scene, arguments.frame)
+    main(arguments.out, arguments.scene, arguments.frame, arguments.quick)

@@ -11,14 +11,10 @@ set_thread_policy()  # before numpy is loaded: as the workers do, which must rou
 import numpy as np  # noqa: E402
 import pytest  # noqa: E402
 
+from tests.dome_result import dome_result  # noqa: E402
+from tests.studio import footage, studio  # noqa: E402
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Take the files from both ends in turn: two workers in one room would compile the same loops."""
-    files: dict[Path, list[pytest.Item]] = {}
-    for item in items:
-        files.setdefault(item.path, []).append(item)
-    waiting = list(files.values())
-    items[:] = [item for turn in range(len(files)) for item in waiting.pop(-(turn % 2))]
+__all__ = ["dome_result", "footage", "studio"]
 
 
 @pytest.fixture

@@ -18,6 +18,7 @@ SCRIPTS = sorted(path for name in ("recipes", "benchmarks", "scripts") for path 
 EXAMPLES = sorted((ROOT / "examples").rglob("*.py"))
 NOTEBOOKS = sorted((ROOT / "examples" / "notebooks").glob("*.ipynb"))
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+pytestmark = pytest.mark.slow  # the first look at the whole package takes half a minute
 STOPS_A_RUN = r"\[(attr-defined|call-arg|name-defined)\]$|Skipping analyzing .vntoolkit"
 
 
@@ -57,7 +58,6 @@ def test_every_call_of_a_script_and_of_a_document_binds(tmp_path: Path, cache: P
     assert not faults_of(files, cache)
 
 
-@pytest.mark.slow
 def test_a_strict_type_checker_accepts_every_example_of_the_documents(tmp_path: Path, cache: Path) -> None:
     """As an editor shows them. The blocks of a page are one script here, so names come twice."""
     options = ["--strict", "--allow-redefinition", "--follow-imports=silent", "--scripts-are-modules"]

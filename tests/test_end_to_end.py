@@ -1,7 +1,5 @@
 """The main job as a user runs it: every verb of the demonstration, then the page."""
 
-from pathlib import Path
-
 import pytest
 
 from vntoolkit.__main__ import main
@@ -29,9 +27,3 @@ def test_the_demonstration_reconstructs_what_it_simulated(tmp_path, capsys):
     before = (out / "reconstruction" / "depth" / "000001.exr").read_bytes()
     assert main(["demo", "--out", str(out), "--frames", "2"]) == 0  # goes on where nothing is left to do
     assert (out / "reconstruction" / "depth" / "000001.exr").read_bytes() == before
-
-
-def test_a_demonstration_of_no_frames_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["demo", "--out", str(tmp_path / "demo"), "--frames", "0"]) == 1
-    assert "expected 1 to 1000 frames" in capsys.readouterr().err
-    assert not (tmp_path / "demo").exists()

@@ -63,6 +63,7 @@ print(hashlib.sha256(out.tobytes()).hexdigest())
 """
 
 
+@pytest.mark.slow
 def test_the_first_process_rounds_as_those_do_that_find_its_kernels(tmp_path: Path) -> None:
     """A parallel loop with `fastmath`: with more of its flags, a few last bits would differ."""
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}

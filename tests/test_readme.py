@@ -1,10 +1,5 @@
-"""Every command in the README runs as printed, in its order, on a small simulated capture.
+"""Every command in the README runs as printed, in its order, beside the films of `studio` and data/."""
 
-The folder that they run in holds, of these, what the README names: board.mkv (the calibration board),
-ball.mkv (a matte ball), capture.mkv (a dancing sweater), all 640×480, and the project's own data/.
-"""
-
-import re
 import subprocess
 import sys
 from pathlib import Path
@@ -14,27 +9,15 @@ import pytest
 from tests.readme_commands import NOT_RUN, ROOT, Step, run_step, steps_of
 
 README = ROOT / "README.md"
-FOOTAGE = {"board.mkv": ("board", "::10"), "ball.mkv": ("sphere", "0:1"), "capture.mkv": ("sweater", "0:4")}
-
-
-def film(folder: Path, name: str, scene: str, frames: str) -> None:
-    """Simulate a piece of footage of that name, at one zoom for all, as on a real set."""
-    command = f"vntoolkit simulate {scene} --out .{scene} --frames {frames} --field-width-m 1.42"
-    run_step(Step("sh", command, 0), folder)
-    (folder / f".{scene}" / "capture.mkv").rename(folder / name)
 
 
 @pytest.mark.slow
-def test_every_command_of_the_readme_runs(tmp_path: Path) -> None:
+def test_every_command_of_the_readme_runs(studio: Path) -> None:
+    (studio / "data").symlink_to(ROOT / "data")
     steps = [step for step in steps_of(README.read_text()) if step.is_run]
-    if not steps:
-        pytest.skip("the README holds no command yet")
-    (tmp_path / "data").symlink_to(ROOT / "data")
-    for name, (scene, frames) in FOOTAGE.items():
-        if any(re.search(rf"(?<![\w/.]){re.escape(name)}", step.text) for step in steps):
-            film(tmp_path, name, scene, frames)
+    assert steps
     for step in steps:
-        run_step(step, tmp_path)
+        run_step(step, studio)
 
 
 SAMPLE = """# Title

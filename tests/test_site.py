@@ -1,8 +1,7 @@
 """The site: every finding has its section, every public name its place, every command runs as printed.
 
-The pages run in the order of the navigation, in one folder that holds board.mkv (the calibration board),
-ball.mkv (a matte ball), capture.mkv (a sweater) and touch.mkv (touches of a gel): what one page makes, the
-next may read.
+The pages run in the order of the navigation, in one folder that holds the films of `studio`: what one page
+makes, the next may read.
 """
 
 import importlib.util
@@ -14,8 +13,7 @@ from pathlib import Path
 import pytest
 
 import vntoolkit
-from tests.readme_commands import ROOT, Step, next_of, run_step, steps_of
-from tests.test_readme import film
+from tests.readme_commands import ROOT, next_of, run_step, steps_of
 from vntoolkit import errors
 from vntoolkit.__main__ import main
 from vntoolkit.cli import GROUPS, VERBS
@@ -24,7 +22,6 @@ from vntoolkit.shipped import guide_section
 
 DOCS = ROOT / "docs"
 NAVIGATION = re.findall(r"^ +- .*: (\w+\.md)$", (ROOT / "mkdocs.yml").read_text(), flags=re.MULTILINE)
-FILMED = {"board.mkv": ("board", "::15"), "ball.mkv": ("sphere", "0:1"), "capture.mkv": ("sweater", "0:3")}
 
 
 def findings_hook():
@@ -100,17 +97,6 @@ def test_the_version_is_one() -> None:
     major, minor, _ = vntoolkit.__version__.split(".")
     released = re.search(r"(?m)^## (\d+)\.(\d+)", (ROOT / "CHANGELOG.md").read_text())
     assert released is None or released.groups() == (major, minor)
-
-
-@pytest.fixture(scope="module")
-def studio(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("site")
-    for name, (scene, frames) in FILMED.items():
-        film(folder, name, scene, frames)
-    touch = "vntoolkit simulate gel --out .gel --frames 37:39 --size 320x240 --samples 1"
-    run_step(Step("sh", touch, 0), folder)
-    (folder / ".gel" / "capture.mkv").rename(folder / "touch.mkv")
-    return folder
 
 
 @pytest.mark.slow

@@ -3,7 +3,7 @@
 pycolmap has no wheel for Linux on ARM.
 """
 
-import os
+import json
 import re
 import subprocess
 import sys
@@ -13,61 +13,51 @@ import pytest
 
 from tests.readme_commands import ROOT
 
-# Makes a process that cannot import them.
-_WITHOUT = """
-import sys
+# A process that cannot import them runs the commands, and then the gel's own tests.
+_RUN = """
+import contextlib, io, json, sys
 for name in ("pycolmap", "pymeshlab", "pxr"):
     sys.modules[name] = None
+import pytest
+from vntoolkit.__main__ import main
+
+ended = {}
+for command in sys.argv[2:]:
+    with contextlib.redirect_stderr(io.StringIO()) as said:
+        ended[command] = (main(command.split()), said.getvalue())
+with contextlib.redirect_stdout(io.StringIO()) as said:
+    ended["gel"] = (pytest.main(["-q", "-p", "no:cacheprovider", sys.argv[1]]), said.getvalue())
+print(json.dumps(ended))
 """
-_RUN = "from {} import main; sys.exit(main(sys.argv[1:]))"
-
-
-def run(folder: Path, command: str) -> subprocess.CompletedProcess[str]:
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    words = [sys.executable, "-c", _WITHOUT + _RUN.format("vntoolkit.__main__"), *command.split()]
-    return subprocess.run(words, cwd=folder, env=environment, text=True, capture_output=True, check=False)
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Cloth, from footage to a moving mesh."""
-    place = tmp_path_factory.mktemp("without")
-    for command in (
-        "simulate sweater --out film --size 160x120 --frames 0:2",
-        "reconstruct film/capture.mkv --rig film/truth/rig.json --out result --distance 5",
-        "track result",
-    ):
-        found = run(place, command)
-        assert found.returncode == 0, f"{command}: {found.stderr}"
-    return place
-
-
-@pytest.mark.parametrize("command", ["export result --to glb", "export result --to ply", "report result"])
-def test_cloth_goes_on(folder: Path, command: str) -> None:
-    found = run(folder, command)
-    assert found.returncode == 0, found.stderr
-
-
-def test_a_gel_answers_a_frame() -> None:
-    """The gel's own tests, in a process without the libraries."""
-    code = _WITHOUT + _RUN.format("pytest")
-    words = [sys.executable, "-c", code, "-q", "-p", "no:cacheprovider", "tests/pipeline/test_gel.py"]
-    found = subprocess.run(words, cwd=ROOT, text=True, capture_output=True, check=False)
-    assert found.returncode == 0, found.stdout
-
-
-@pytest.mark.parametrize(
-    ("command", "library"),
-    [
-        ("calibrate head film/capture.mkv --out head.json", "pycolmap"),
-        ("export result --to usd --out cloth.usdc", "usd-core"),
-        ("export result --to ply --mesh frames --clean --out clean", "pymeshlab"),
-    ],
+GOES_ON = (
+    "simulate sphere --out film --size 80x60 --frames 0:2",
+    "reconstruct film/capture.mkv --rig film/truth/rig.json --out result --distance 5",
+    "track result",
+    "export result --to glb",
+    "export result --to ply",
+    "report result",
 )
-def test_what_is_missing_is_named_in_one_line(folder: Path, command: str, library: str) -> None:
-    found = run(folder, command)
-    assert found.returncode == 1
-    assert len(found.stderr.strip().splitlines()) == 1
-    assert re.search(rf"pip install (--force-reinstall )?{library}\b", found.stderr.strip()), found.stderr
-    assert not (folder / "head.json").exists()
-    assert not (folder / "cloth.usdc").exists()
+LACKING = {
+    "calibrate head film/capture.mkv --out head.json": "pycolmap",
+    "export result --to usd --out cloth.usdc": "usd-core",
+    "export result --to ply --mesh frames --clean --out clean": "pymeshlab",
+}
+
+
+def test_cloth_and_gel_go_on_and_what_is_missing_is_named_in_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    gel = str(ROOT / "tests/pipeline/test_gel.py")
+    words = [sys.executable, "-c", _RUN, gel, *GOES_ON, *LACKING]
+    done = subprocess.run(words, cwd=tmp_path, text=True, capture_output=True, check=False)
+    assert done.returncode == 0, done.stderr
+    ended = json.loads(done.stdout.splitlines()[-1])
+    for command in (*GOES_ON, "gel"):
+        assert ended[command][0] == 0, f"{command}: {ended[command][1]}"
+    for command, library in LACKING.items():
+        status, said = ended[command]
+        assert (status, said.count("\n")) == (1, 1), said
+        assert re.search(rf"pip install (--force-reinstall )?{library}\b", said), said
+    assert not (tmp_path / "head.json").exists()
+    assert not (tmp_path / "cloth.usdc").exists()

@@ -109,7 +109,8 @@ def _findings_in_weave(light, matrix, light_colours):
     return [finding for finding in found if finding.level is not Level.NOTE]
 
 
-@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 3))])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [0, 2, 3])
 def test_a_tartan_tells_which_mistake_was_made(seed):
     """As of one material its squares leave no surface; their steps tell the paint, whatever M is."""
     light, response = _tartan(seed)
@@ -143,7 +144,7 @@ def test_two_spots_name_no_mistake(seed):
     assert all(finding.level is Level.NOTE for finding in found), found
 
 
-@pytest.mark.parametrize("seed", [0, 2])
+@pytest.mark.parametrize("seed", [0, pytest.param(2, marks=pytest.mark.slow)])
 def test_patches_between_seams_tell_a_mirrored_axis_at_a_closer_look(seed):
     light, inside, response = _shot(seed)
     factor = 4

@@ -196,8 +196,8 @@ def run(*arguments: str, **changed: str) -> subprocess.CompletedProcess[str]:
 
 @pytest.mark.parametrize(
     ("changed", "status"),
-    [({"COLUMNS": "0", "PYTHONIOENCODING": "ascii", "LANG": "C", "MPLBACKEND": "nosuch"}, 0),
-     ({"HOME": "/nonexistent", "TMPDIR": "/nonexistent"}, 0), ({"SOURCE_DATE_EPOCH": "tomorrow"}, 1)],
+    [({"COLUMNS": "0", "PYTHONIOENCODING": "ascii", "LANG": "C", "MPLBACKEND": "nosuch",
+       "HOME": "/nonexistent", "TMPDIR": "/nonexistent"}, 0), ({"SOURCE_DATE_EPOCH": "tomorrow"}, 1)],
 )  # fmt: skip
 def test_an_odd_environment_is_no_fault_of_ours(good, tmp_path, changed, status):
     maps = good / "maps/n.exr"
@@ -224,6 +224,7 @@ def test_a_name_that_is_no_utf8_is_refused_before_the_work(good, tmp_path, capfd
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_a_damaged_or_unwritable_cache_is_passed_over(tmp_path):
     """In a process of its own: the kernels of this one are compiled."""
     kernel = "@njit(cache=True)\ndef double(x):\n    return 2 * x\nprint(double(21))\n"

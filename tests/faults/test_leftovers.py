@@ -6,12 +6,9 @@ import sys
 
 import pytest
 
-from tests.dome_result import dome_result
 from vntoolkit.io.atomic import atomic_path, require_writable_folder
 from vntoolkit.options.export import ExportArguments, ExportFormat
 from vntoolkit.pipeline.export import export
-
-__all__ = ["dome_result"]
 
 
 @pytest.fixture

@@ -5,12 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from specimens import LIMITED, a_mesh
+from specimens import a_mesh
 
 from tests.result_files import write_mesh_sequence
-from vntoolkit.errors import BadCapture, BadInput, BadMesh
-from vntoolkit.io.footage.captures import open_capture
-from vntoolkit.io.footage.image_writing import write_png
+from vntoolkit.errors import BadInput, BadMesh
 from vntoolkit.io.light_files import read_lights
 from vntoolkit.io.results.sequences import read_mesh_sequence
 
@@ -92,10 +90,3 @@ def test_pickled_arrays_are_refused(tmp_path):
     np.save(tmp_path / "vertices.npy", np.array([{"a": 1}], dtype=object), allow_pickle=True)
     with pytest.raises(BadMesh, match=r"not a whole \.npy array"):
         read_mesh_sequence(tmp_path)
-
-
-def test_sizes_are_limited_by_an_option(tmp_path):
-    write_png(tmp_path / "a.png", np.full((2100, 2000, 3), 9, dtype=np.uint8))
-    with pytest.raises(BadCapture, match="more than the limit of 4; raise --max-megapixels"):
-        open_capture(tmp_path / "a.png", LIMITED)
-    assert open_capture(tmp_path / "a.png").info.width == 2000

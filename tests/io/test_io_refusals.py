@@ -39,6 +39,7 @@ PLANE = np.ones((4, 5), dtype=np.float32)
 ALL = np.ones((4, 5), dtype=bool)
 FLAT = NormalMap(normals_in_camera=np.tile(np.float32([0, 0, -1]), (4, 5, 1)), mask=ALL)
 LEVEL = DepthMap(depth=PLANE, mask=ALL)
+IN_METRES = DepthMap(depth=PLANE, mask=ALL, unit=LengthUnit.METRE)
 
 
 def usd_at_rate(path, frame_rate_hz):
@@ -92,29 +93,92 @@ def test_writers_refuse_what_the_format_cannot_hold(tmp_path, capfd, write, erro
     assert not list(tmp_path.iterdir())
 
 
-def test_exr_files_of_other_channels_units_and_conventions(tmp_path):
-    path = tmp_path / "a.exr"
-    write_exr(path, {"P": PLANE, "Q": PLANE})
-    for read, line in (
-        (read_image, r"expected the channels R, G, B \(or Y\), found P, Q"),
-        (read_normal_map, "expected the channels R, G, B or X, Y, Z, found P, Q"),
-        (read_depth_map, "expected a channel Z, found P, Q"),
-    ):
-        with pytest.raises(BadInput, match=line):
-            read(path)
-    write_exr(path, {"Z": PLANE * np.nan})
-    with pytest.raises(BadInput, match="no pixel holds a depth"):
-        read_depth_map(path)
-    write_depth_map(path, DepthMap(depth=PLANE, mask=ALL, unit=LengthUnit.METRE))
-    unit = next(key for key, value in read_exr(path)[1].texts.items() if value == LengthUnit.METRE.value)
-    write_exr(path, {"Z": PLANE}, attributes={unit: "smoot"})
-    with pytest.raises(BadInput, match="unknown length unit 'smoot'"):
-        read_depth_map(path)
-    write_normal_map(path, FLAT)
-    convention = next(key for key, value in read_exr(path)[1].texts.items() if value in ("opengl", "directx"))
-    write_exr(path, dict.fromkeys("RGB", PLANE), attributes={convention: "sideways"})
-    with pytest.raises(BadInput, match="unknown normal convention 'sideways'"):
-        read_normal_map(path)
+def without_label(path, map_written, values, channels, label):
+    """Write a map, and another in its place whose label of one of these values says something else."""
+    map_written(path)
+    key = next(key for key, value in read_exr(path)[1].texts.items() if value in values)
+    write_exr(path, channels, attributes={key: label})
+
+
+def damaged_tiff(path, packing):
+    values = np.random.default_rng(1).random((9, 9, 3)).astype(np.float16)
+    tifffile.imwrite(path, values, photometric="rgb", compression=packing)
+    path.write_bytes(path.read_bytes()[:-200] + bytes(100) + path.read_bytes()[-100:])
+
+
+def cut_png(path, length=None, flipped=None):
+    write_png(path, np.zeros((4, 5, 3), np.uint8))
+    content = bytearray(path.read_bytes())
+    if flipped is not None:
+        content[flipped] ^= 1
+    path.write_bytes(content[:length])
+
+
+def png_of_a_long_chunk(path):
+    chunk = b"IHDR" + struct.pack(">IIBBBBB", 5, 4, 8, 2, 0, 0, 0)
+    whole = struct.pack(">I", 13) + chunk + struct.pack(">I", zlib.crc32(chunk))
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + whole + struct.pack(">I", 10**9) + b"IDAT" + bytes(64))
+
+
+def npy_in_place_of_npz(path):
+    np.save(path.with_suffix(".npy"), np.ones(3))
+    path.with_suffix(".npy").rename(path)
+
+
+def cut_npy(path):
+    np.save(path, np.ones(3))
+    path.write_bytes(path.read_bytes()[:-9])
+
+
+def read_depth_array(path):
+    return read_npz(path, "depth")
+
+
+READS = [  # the file's name, what writes it, what reads it, the error and its line
+    ("a.exr", lambda p: write_exr(p, {"P": PLANE, "Q": PLANE}), read_image, BadInput,
+     r"expected the channels R, G, B \(or Y\), found P, Q"),
+    ("a.exr", lambda p: write_exr(p, {"P": PLANE, "Q": PLANE}), read_normal_map, BadInput,
+     "expected the channels R, G, B or X, Y, Z, found P, Q"),
+    ("a.exr", lambda p: write_exr(p, {"P": PLANE, "Q": PLANE}), read_depth_map, BadInput,
+     "expected a channel Z, found P, Q"),
+    ("a.exr", lambda p: write_exr(p, {"Z": PLANE * np.nan}), read_depth_map, BadInput,
+     "no pixel holds a depth"),
+    ("a.exr", lambda p: without_label(p, lambda q: write_depth_map(q, IN_METRES), (LengthUnit.METRE.value,),
+     {"Z": PLANE}, "smoot"), read_depth_map, BadInput, "unknown length unit 'smoot'"),
+    ("a.exr", lambda p: without_label(p, lambda q: write_normal_map(q, FLAT), ("opengl", "directx"),
+     dict.fromkeys("RGB", PLANE), "sideways"), read_normal_map, BadInput,
+     "unknown normal convention 'sideways'"),
+    ("a.tiff", lambda p: cv2.imwrite(str(p), np.zeros((4, 5), np.int32)), read_image, BadCapture,
+     "expected 8-bit, 16-bit or float samples, got int32"),
+    ("a.tiff", lambda p: damaged_tiff(p, "zlib"), read_image, BadCapture, "its samples are damaged, or comp"),
+    ("a.tiff", lambda p: damaged_tiff(p, "lzma"), read_image, BadCapture, "its samples are damaged, or comp"),
+    ("a.png", lambda p: cut_png(p, flipped=45), read_image, BadCapture,
+     "the PNG file is damaged: the checksum at byte 33 is wrong"),
+    ("a.png", lambda p: cut_png(p, 60), read_image, BadCapture, r"the PNG file is (cut off|damaged)"),
+    ("a.png", png_of_a_long_chunk, read_image, BadCapture,
+     "the PNG file is cut off; copy or write it again"),
+    ("a.png", lambda p: write_png(p, np.zeros((4, 5), np.uint16)), read_labels, BadInput,
+     "visibility labels are 8-bit, got uint16"),
+    ("a.png", lambda p: write_png(p, np.full((4, 5), 9, np.uint8)), read_labels, BadInput, "label"),
+    ("a.txt", lambda p: p.write_text("a b c"), read_press_label, BadInput,
+     r"expected three numbers \(u, v, contact radius\), got 'a"),
+    ("a.txt", lambda p: p.write_text("1 2"), read_press_label, BadInput, "> 0\\), got 2"),
+    ("a.txt", lambda p: p.write_text("1 2 0"), read_press_label, BadInput, "got 3"),
+    ("a.npz", lambda p: p.write_text("no archive"), read_depth_array, BadInput,
+     r"is not a whole \.npz archive"),
+    ("a.npz", lambda p: np.savez(p, other=np.ones(3)), read_depth_array, BadInput, "holds no array 'depth'"),
+    ("a.npz", lambda p: np.savez(p, depth=np.array([{}], dtype=object)), read_depth_array, BadInput,
+     "allow_pickle=False"),
+    ("a.npz", npy_in_place_of_npz, read_depth_array, BadInput, r"is not a whole \.npz archive"),
+    ("a.npy", cut_npy, map_npy, BadInput, r"is not a whole \.npy array"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "write", "read", "error", "line"), READS)
+def test_readers_refuse_what_is_damaged_or_of_another_kind(tmp_path, name, write, read, error, line):
+    write(tmp_path / name)
+    with pytest.raises(error, match=line):
+        read(tmp_path / name)
 
 
 def test_normals_that_are_infinite_where_there_is_no_subject_are_passed_over_in_silence(tmp_path):
@@ -153,36 +217,6 @@ def test_exr_headers_that_cannot_be(tmp_path):
             read_exr(path)
 
 
-def test_images_of_other_samples_and_damage(tmp_path):
-    path = tmp_path / "a.tiff"
-    assert cv2.imwrite(str(path), np.zeros((4, 5), np.int32))
-    with pytest.raises(BadCapture, match="expected 8-bit, 16-bit or float samples, got int32"):
-        read_image(path)
-    for packing in ("zlib", "lzma"):
-        values = np.random.default_rng(1).random((9, 9, 3)).astype(np.float16)
-        tifffile.imwrite(path, values, photometric="rgb", compression=packing)
-        content = bytearray(path.read_bytes())
-        content[-200:-100] = bytes(100)
-        path.write_bytes(content)
-        with pytest.raises(BadCapture, match="its samples are damaged, or compressed in a way"):
-            read_image(path)
-    write_png(tmp_path / "a.png", np.zeros((4, 5, 3), np.uint8))
-    content = bytearray((tmp_path / "a.png").read_bytes())
-    content[45] ^= 1
-    (tmp_path / "a.png").write_bytes(content)
-    with pytest.raises(BadCapture, match="the PNG file is damaged: the checksum at byte 33 is wrong"):
-        read_image(tmp_path / "a.png")
-    (tmp_path / "a.png").write_bytes(content[:60])
-    with pytest.raises(BadCapture, match=r"the PNG file is (cut off|damaged)"):
-        read_image(tmp_path / "a.png")
-    write_png(tmp_path / "b.png", np.zeros((4, 5), np.uint16))
-    with pytest.raises(BadInput, match="visibility labels are 8-bit, got uint16"):
-        read_labels(tmp_path / "b.png")
-    write_png(tmp_path / "c.png", np.full((4, 5), 9, np.uint8))
-    with pytest.raises(BadInput, match="label"):
-        read_labels(tmp_path / "c.png")
-
-
 def test_names_that_lead_nowhere_or_out(tmp_path):
     with pytest.raises(BadInput, match="list: names a file by 300 characters"):
         require_inside(tmp_path, "x" * 300, "list")
@@ -196,49 +230,6 @@ def test_a_frame_log_that_is_no_file(tmp_path):
         FrameLog(tmp_path).entries()
     with pytest.raises(CannotWrite, match=r"cannot write .*frames\.log"):
         FrameLog(tmp_path).append(FrameEntry(number=0, seconds=1.0))
-
-
-@pytest.mark.parametrize(
-    ("text", "line"),
-    [
-        ("a b c", r"expected three numbers \(u, v, contact radius\), got 'a"),
-        ("1 2", "> 0\\), got 2"),
-        ("1 2 0", "got 3"),
-    ],
-)
-def test_labels_of_presses_that_are_none(tmp_path, text, line):
-    (tmp_path / "a.txt").write_text(text)
-    with pytest.raises(BadInput, match=line):
-        read_press_label(tmp_path / "a.txt")
-
-
-def test_arrays_that_are_none(tmp_path):
-    (tmp_path / "a.npz").write_text("no archive")
-    with pytest.raises(BadInput, match=r"is not a whole \.npz archive"):
-        read_npz(tmp_path / "a.npz", "depth")
-    np.savez(tmp_path / "b.npz", other=np.ones(3))
-    with pytest.raises(BadInput, match="holds no array 'depth'"):
-        read_npz(tmp_path / "b.npz", "depth")
-    np.savez(tmp_path / "c.npz", depth=np.array([{}], dtype=object))
-    with pytest.raises(BadInput, match="allow_pickle=False"):
-        read_npz(tmp_path / "c.npz", "depth")
-    np.save(tmp_path / "d.npy", np.ones(3))
-    (tmp_path / "d.npz").write_bytes((tmp_path / "d.npy").read_bytes())
-    with pytest.raises(BadInput, match=r"is not a whole \.npz archive"):
-        read_npz(tmp_path / "d.npz", "depth")
-    (tmp_path / "d.npy").write_bytes((tmp_path / "d.npy").read_bytes()[:-9])
-    with pytest.raises(BadInput, match=r"is not a whole \.npy array"):
-        map_npy(tmp_path / "d.npy")
-
-
-def test_a_chunk_of_a_png_that_lies_about_its_length(tmp_path):
-    chunk = b"IHDR" + struct.pack(">IIBBBBB", 5, 4, 8, 2, 0, 0, 0)
-    whole = struct.pack(">I", 13) + chunk + struct.pack(">I", zlib.crc32(chunk))
-    (tmp_path / "a.png").write_bytes(
-        b"\x89PNG\r\n\x1a\n" + whole + struct.pack(">I", 10**9) + b"IDAT" + bytes(64)
-    )
-    with pytest.raises(BadCapture, match="the PNG file is cut off; copy or write it again"):
-        read_image(tmp_path / "a.png")
 
 
 def test_files_that_the_system_will_not_open(tmp_path, monkeypatch):

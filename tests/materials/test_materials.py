@@ -192,7 +192,7 @@ def test_one_paint_is_one_material_and_a_number_is_kept() -> None:
     assert len(find_materials(searched_frames([frame], [mask], RESPONSE), 2)) == 2
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 3))])
 def test_grey_paint_is_beaten_by_a_hue_and_by_prints_and_not_by_gloss(seed: int) -> None:
     """Gloss and light between folds change light by a tenth, smoothly from place to place, for each lamp."""
     normals, mask = dome(160)
@@ -595,6 +595,7 @@ def test_how_far_paint_turned_normals_is_how_far_they_are_in_doubt() -> None:
     assert np.mean(doubt[wrong]) > 1.4 * np.mean(doubt[mask & (off < 1.0)])
 
 
+@pytest.mark.slow
 def test_a_surface_that_moves_is_sought_from_the_frame_before_and_anew_where_that_is_far() -> None:
     rgb, normals, mask = (
         np.pad(each, ((0, 0), (0, 50), (0, 0))[: each.ndim]) for each in (freckled()[0].rgb, *freckled()[1:])

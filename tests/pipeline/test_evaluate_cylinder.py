@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 import vntoolkit as vt
-from vntoolkit.__main__ import main
+from vntoolkit.cli import run_verb
 from vntoolkit.errors import BadInput
 from vntoolkit.pipeline.evaluate import evaluate_cylinder
 from vntoolkit.pipeline.opened_result import read_result
@@ -22,14 +22,12 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 
 
 def test_the_fit_and_the_normals_are_right(folders, tmp_path, capsys):
-    found = vt.evaluate_cylinder(folders[0], truth=folders[1], out=tmp_path)
+    found = run_verb(f"evaluate cylinder {folders[0]} --truth {folders[1]} --out {tmp_path}".split())
+    assert "the fit against the truth" in capsys.readouterr().out
     written = json.loads((tmp_path / "cylinder.json").read_text())
     assert written["mean_deg"] == pytest.approx(found.mean_deg)
     assert [frame["frame"] for frame in written["frames"]] == [0, 1]
     assert (tmp_path / "cylinder.png").read_bytes()[:4] == b"\x89PNG"
-    command = ["evaluate", "cylinder", folders[0], "--truth", folders[1], "--out", tmp_path]
-    assert main(list(map(str, command))) == 0
-    assert "the fit against the truth" in capsys.readouterr().out
     for frame in found.frames:
         assert frame.truth is not None
         assert frame.truth.axis_deg < 0.3

@@ -11,7 +11,7 @@ import pytest
 from pxr import Usd, UsdGeom
 from rerun.chunk import RrdReader
 
-from tests.dome_result import DomeResult, dome_result
+from tests.dome_result import DomeResult
 from tests.each_step import EachStep
 from tests.io.test_recordings import messages_of
 from tests.result_files import read_point_cloud
@@ -44,7 +44,6 @@ from vntoolkit.pipeline.export import export
 from vntoolkit.pipeline.track import track
 from vntoolkit.progress import heard_by
 
-__all__ = ["dome_result"]
 FRAMES = "0:3"
 
 

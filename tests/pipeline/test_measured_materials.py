@@ -123,6 +123,7 @@ def test_a_run_goes_on_with_the_materials_that_it_found(striped: Request) -> Non
     assert digest(striped.folder.root) == before
 
 
+@pytest.mark.slow
 def test_a_first_try_of_frames_changes_no_byte(striped: Request, caplog: pytest.LogCaptureFixture) -> None:
     """What is found once belongs to all frames that are asked for, in whatever order."""
     tried = into(striped, "tried")
@@ -166,7 +167,9 @@ def test_workers_do_not_change_a_byte(striped: Request) -> None:
     assert digest(shared.folder.root) == digest(striped.folder.root)
 
 
-@pytest.mark.parametrize("name", ["buddha", "cat", "yaleB01", "yaleB02"])
+@pytest.mark.parametrize(
+    "name", ["yaleB01", *(pytest.param(n, marks=pytest.mark.slow) for n in ("buddha", "cat", "yaleB02"))]
+)
 def test_gloss_on_photographs_of_one_material_is_no_paint(tmp_path: Path, real_data: Path, name: str) -> None:
     """Gloss and light between folds bend lengths by a tenth and more, over whole cheeks alike."""
     capture = read_capture(real_data, name)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from recipes.real_objects import read_capture
-from tests.dome_result import DomeResult, dome_result
+from tests.dome_result import DomeResult
 from tests.pipeline.conftest import RESPONSE, SIZE, DomeCapture
 from tests.result_files import write_mesh_sequence
 from vntoolkit.__main__ import main
@@ -42,7 +42,6 @@ from vntoolkit.pipeline.simulate import SimulationFolder, SimulationJob
 from vntoolkit.pipeline.tracked_folder import read_track_record, recorded_camera
 from vntoolkit.pipeline.truth_comparison import compare_with_truth
 
-__all__ = ["dome_result"]
 TRIANGLE = Mesh(vertices=np.eye(3), faces=np.array([[0, 1, 2]], dtype=np.int32))
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.dome_result import DomeResult, dome_result
+from tests.dome_result import DomeResult
 from tests.pipeline.conftest import DomeCapture
 from vntoolkit.__main__ import main
 from vntoolkit.errors import BadCapture, BadInput, CannotWrite
@@ -19,8 +19,6 @@ from vntoolkit.options.pages import ViewerOptions
 from vntoolkit.pipeline.export import export, file_lengths
 from vntoolkit.pipeline.opened_result import read_result
 from vntoolkit.report.result_scene import ResultViewer
-
-__all__ = ["dome_result"]
 
 
 @pytest.fixture

@@ -26,7 +26,7 @@ from vntoolkit.tactile.dots import DotFilter
 
 @pytest.fixture(scope="module")
 def sensor(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Twelve presses, the untouched gel, and the same with a drift."""
+    """Twelve presses, the untouched gel, the same with a drift, and the rig that they give."""
     folder, rng = tmp_path_factory.mktemp("sensor"), np.random.default_rng(4)
     for k in range(12):
         place = rng.uniform(35, WIDTH - 35), rng.uniform(35, HEIGHT - 35)
@@ -38,6 +38,7 @@ def sensor(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_png(folder / "background.png", picture(rng, 0, 0, 0))
     write_png(folder / "touched.png", picture(rng, 60, 90, 18, 0.02))
     write_png(folder / "sharp.png", picture(rng, 60, 90, 18, 0.02, rest_px=0.1))
+    assert calibrate(folder, folder / "rig.json") == 0
     return folder
 
 
@@ -110,9 +111,8 @@ def test_without_corners_the_side_of_a_pixel_is_asked_for(sensor: Path, tmp_path
 
 
 def test_the_dark_flank_of_a_sharp_rim_is_no_dot(sensor: Path, tmp_path: Path) -> None:
-    rig, out = tmp_path / "rig.json", tmp_path / "out"
-    assert calibrate(sensor, rig) == 0
-    assert reconstruct(sensor, "sharp.png", rig, out) == 0
+    out = tmp_path / "out"
+    assert reconstruct(sensor, "sharp.png", sensor / "rig.json", out) == 0
     depth_mm = 1000 * read_depth_map(out / "depth" / "000000.exr").depth
     # The cap's height is known; so is the area within which it is a third deep.
     assert depth_mm[90, 60] == pytest.approx(-(2.4 - np.sqrt(2.4**2 - 1.8**2)), abs=0.1)
@@ -121,9 +121,7 @@ def test_the_dark_flank_of_a_sharp_rim_is_no_dot(sensor: Path, tmp_path: Path) -
 
 
 def test_an_untouched_gel_is_flat_and_a_missing_background_is_said(sensor, tmp_path, capsys):
-    rig = tmp_path / "rig.json"
-    assert calibrate(sensor, rig) == 0
-    flat = tmp_path / "flat"
+    rig, flat = sensor / "rig.json", tmp_path / "flat"
     assert main(f"reconstruct {sensor}/background.png --rig {rig} --to depth --out {flat}".split()) == 1
     said = capsys.readouterr().err
     assert "expected a photograph of the untouched gel, got none; give it with --background" in said

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from pxr import Usd, UsdShade, UsdValidation
 
-from tests.dome_result import DomeResult, dome_result
+from tests.dome_result import DomeResult
 from tests.pipeline.conftest import RESPONSE
 from vntoolkit.geometry.mesh import vertex_normals
 from vntoolkit.io.footage.images import read_image
@@ -26,8 +26,6 @@ from vntoolkit.pipeline.export import export
 from vntoolkit.pipeline.opened_result import read_result
 from vntoolkit.pipeline.texture import filled, tangent_frames, texels_of, write_texture
 from vntoolkit.pipeline.texture_files import read_texture
-
-__all__ = ["dome_result"]
 
 
 def bumpy_sheet(size: int = 24) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

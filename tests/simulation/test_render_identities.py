@@ -170,6 +170,7 @@ def test_visibility_labels_equal_the_independent_test_in_the_image():
     assert 0.6 < wall_lit < 0.98
 
 
+@pytest.mark.slow
 def test_turning_off_shadows_only_adds_light():
     scene = build_scene("jacket", SMALL)
     with_shadows = render_frame(scene, 0, nuisances=Nuisances(), options=SINGLE).truth.labels

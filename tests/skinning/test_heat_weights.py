@@ -178,6 +178,7 @@ def test_sleeves_captured_as_one_with_the_trunk_are_cut_loose() -> None:
     np.testing.assert_array_equal(cut.cloth.vertices, touching.vertices)
 
 
+@pytest.mark.slow
 def test_command_line_says_how_many_triangles_it_cut(tmp_path: Path, capsys) -> None:
     write_mesh_sequence(tmp_path / "track", sheet_seen_from_the_front(0.24))
     write_bvh(tmp_path / "raised.bvh", raised_arms(90))

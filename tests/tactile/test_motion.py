@@ -1,6 +1,7 @@
 """The membrane's motion is found by dots and by texture, told in the right units, and lost where unseen."""
 
 from collections.abc import Callable
+from functools import cache
 
 import cv2
 import numpy as np
@@ -64,7 +65,7 @@ def texture(rng: np.random.Generator, dots: bool) -> np.ndarray:
 def frame(rng: np.random.Generator, paint: np.ndarray, motion: Motion, ball: np.ndarray | None) -> np.ndarray:
     """What the camera sees of a gel whose material has moved, with a ball pressed in at a place."""
     rest = PLACES.copy()
-    for _ in range(30):  # x = X + u(X)
+    for _ in range(16):  # x = X + u(X); u changes by less than half of a step of x
         rest = PLACES - motion(rest)
     u, v = (np.asarray(rest[..., k] + 20, np.float32) for k in range(2))
     seen = cv2.remap(cv2.GaussianBlur(paint, (0, 0), 0.7).astype(np.float32), u, v, cv2.INTER_CUBIC)
@@ -78,6 +79,7 @@ def frame(rng: np.random.Generator, paint: np.ndarray, motion: Motion, ball: np.
     return (np.round(255 * np.clip(rgb, 0, 1)) / 255).astype(np.float32)
 
 
+@cache
 def followed(name: str, dots: bool) -> tuple[Membrane, MembraneMotion, Motion, np.ndarray]:
     """A gel and its motion after ten frames, the true motion, and where the ball is."""
     rng = np.random.default_rng(3)

@@ -56,6 +56,7 @@ def errors_of(told: list[TrackedPose], poses: list[RigidTransform]) -> tuple[np.
     return np.array(turns), np.array(shifts)
 
 
+@pytest.mark.slow
 def test_a_drum_with_letters_rolls_by_90_degrees_and_back() -> None:
     poses = [pose_of(10, roll) for roll in THERE_AND_BACK]
     told = tracked(letters, poses)

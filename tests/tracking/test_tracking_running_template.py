@@ -61,6 +61,7 @@ def on_disc(last: int = 30) -> tuple[float, float]:
     return float(np.median(error[inner])), float(np.median(tracked.uncertainty_px[inner]))
 
 
+@pytest.mark.slow
 def test_relief_that_turns_into_another_is_followed(monkeypatch: pytest.MonkeyPatch) -> None:
     """As under light that changes: the template tells nothing of it any more."""
     assert on_disc()[0] < 1.5
