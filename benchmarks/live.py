@@ -100,16 +100,17 @@ def measure(
             processed.reached(timed.arrived_s)
 
         def run_of(video: Path) -> LiveRun:
-            return LiveRun(FileSource(open_capture(video)), processor)
+            return LiveRun(FileSource(open_capture(video)), processor, on_result)
 
         run = run_of(path)
         viewer = LiveViewer(processor.depth_camera, ViewerOptions(port=8097), figures=run.figures)
         load = os.getloadavg()[0]
         with browser_on(viewer.address, browser):
-            run_of(lead_in).run(on_result)
+            run_of(lead_in).run()
             viewer.meter, processed = LatencyMeter(keep=None), LatencyMeter(keep=None)
+            watchers = viewer.watchers
             before, started = processor_s(), time.perf_counter()
-            figures = run.run(on_result)
+            figures = run.run()
             after, seconds = processor_s(), time.perf_counter() - started
         viewer.close()
     rate, latency = processed.figures()
@@ -117,7 +118,7 @@ def measure(
     return {
         "size": [width, height],
         "codec": codec,
-        "browser": browser,
+        "browsers": watchers,
         "load_before": load,
         "processor_ms_per_s": {name: round(1000 * (after[name] - before[name]) / seconds) for name in after},
         "arrived": figures.arrived,

@@ -46,7 +46,7 @@ def encoded(values: np.ndarray, number: int = 0) -> EncodedFrame:
 class Source:
     """Gives frames at once, or when it is told."""
 
-    name, width, height, frame_rate_hz = "source", 64, 48, 30.0
+    name, width, height, frame_rate_hz, skipped = "source", 64, 48, 30.0, 0
 
     def __init__(self, frames: list[EncodedFrame], gate: threading.Event | None = None) -> None:
         self._frames, self._gate = frames, gate
@@ -77,6 +77,36 @@ def test_a_file_plays_at_its_own_speed(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.diff(timed), 0.04, atol=1e-6)  # when due, even where decoding is late
 
 
+class SlowCapture:
+    """Eighty frames at 50 a second, of which the third takes half a second to decode."""
+
+    name = "slow"
+
+    class info:
+        width, height, frame_rate_hz = 64, 48, 50.0
+
+    def __len__(self) -> int:
+        return 80
+
+    def encoded_frames(self, start: int = 0):
+        for number in range(start, 80):
+            if number == 2:
+                time.sleep(0.5)
+            yield encoded(dome_picture(), number)
+
+
+def test_a_file_that_decodes_too_slowly_skips_frames_and_counts_them() -> None:
+    source = FileSource(SlowCapture())
+    numbers = [timed.frame.number for timed in source.frames()]
+    assert numbers[:2] == [0, 1]
+    assert numbers[2] >= 25  # half a second later
+    assert source.skipped == 80 - len(numbers)
+    run = LiveRun(FileSource(SlowCapture()), LiveProcessor(RIG), lambda r, t: None)
+    figures = run.run()
+    assert figures.arrived == 80
+    assert figures.dropped == 80 - figures.processed > 0
+
+
 def test_the_newest_frames_are_worked_on_and_the_others_counted() -> None:
     all_there = threading.Event()
     source = Source([encoded(dome_picture(), n) for n in range(10)], all_there)
@@ -86,7 +116,7 @@ def test_the_newest_frames_are_worked_on_and_the_others_counted() -> None:
         all_there.wait(30)  # the first frame takes as long as the nine others need to arrive
         seen.append(result.number)
 
-    figures = LiveRun(source, LiveProcessor(RIG)).run(on_result)
+    figures = LiveRun(source, LiveProcessor(RIG), on_result).run()
     assert seen[-2:] == [8, 9]
     assert len(seen) <= 3
     assert figures.arrived == 10
@@ -100,9 +130,14 @@ def test_a_file_that_is_not_in_real_time_loses_nothing() -> None:
     source = Source([encoded(dome_picture(), n) for n in range(12)])
     seen: list[int] = []
     arrived: list[int] = []
-    processor = LiveProcessor(RIG)
-    run = LiveRun(source, processor, lambda timed: arrived.append(timed.frame.number), wait_for_all=True)
-    assert run.run(lambda result, timed: seen.append(result.number)).dropped == 0
+    run = LiveRun(
+        source,
+        LiveProcessor(RIG),
+        lambda result, timed: seen.append(result.number),
+        lambda timed: arrived.append(timed.frame.number),
+        wait_for_all=True,
+    )
+    assert run.run().dropped == 0
     assert seen == arrived == list(range(12))
 
 
@@ -123,12 +158,13 @@ def test_recent_frames_tell_how_dark_a_frame_without_a_subject_is() -> None:
 def test_black_frames_fail_alone_and_a_source_that_never_gave_any_raises() -> None:
     black = np.zeros((48, 64, 3), np.uint8)
     source = Source([encoded(black, 0), encoded(dome_picture(), 1)])
-    figures = LiveRun(source, LiveProcessor(RIG), wait_for_all=True).run(lambda r, t: None)
+    figures = LiveRun(source, LiveProcessor(RIG), lambda r, t: None, wait_for_all=True).run()
     assert (figures.failed, figures.processed) == (1, 1)
     told: list[str] = []
     dark = Source([encoded(black)])
+    run = LiveRun(dark, LiveProcessor(RIG), lambda r, t: None, on_failure=lambda p, t: told.append(str(p)))
     with pytest.raises(VntError, match="no "):  # not one frame had normals
-        LiveRun(dark, LiveProcessor(RIG)).run(lambda r, t: None, lambda p, t: told.append(str(p)))
+        run.run()
     assert len(told) == 1
 
     class Unplugged(Source):
@@ -137,7 +173,7 @@ def test_black_frames_fail_alone_and_a_source_that_never_gave_any_raises() -> No
             yield
 
     with pytest.raises(BadCapture, match="no frames any more"):
-        LiveRun(Unplugged([]), LiveProcessor(RIG)).run(lambda r, t: None)
+        LiveRun(Unplugged([]), LiveProcessor(RIG), lambda r, t: None).run()
     with pytest.raises(BadCapture, match="cannot be opened"):
         CameraSource(97)
 
@@ -272,14 +308,6 @@ def test_a_recording_that_fails_is_over_and_the_next_one_is_not_blamed(tmp_path:
     assert recorder.problem == ""
     recorder.stop()
     assert len(recorder.files) == 1
-
-
-def test_a_folder_that_cannot_be_written_to_is_told(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    recorder = LiveRecorder(tmp_path / "file", 30.0)
-    assert not recorder.toggle()
-    assert "a file stands where a folder is needed" in recorder.problem
-    recorder.stop()
 
 
 def test_every_r_in_the_terminal_counts(monkeypatch) -> None:

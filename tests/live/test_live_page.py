@@ -12,11 +12,12 @@ import pytest
 from tests.browser import visit
 from tests.pipeline.conftest import RESPONSE
 from tests.report.test_viewer import bright, free_port, picture_when
+from vntoolkit.errors import VntError
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.io.footage.captures import open_capture
 from vntoolkit.io.footage.decoding import EncodedFrame
 from vntoolkit.live.capture import LiveFigures, LiveRecorder, LiveRun, TimedFrame
-from vntoolkit.live.frames import LiveProcessor
+from vntoolkit.live.frames import LiveProcessor, LiveResult
 from vntoolkit.live.page import LiveViewer, status_cards
 from vntoolkit.options.pages import ViewerOptions
 from vntoolkit.photometry.response import rgb_from_normals
@@ -45,7 +46,7 @@ def wait_until(page: Any, expression: str) -> None:
 class Lamp:
     """A source of ten frames a second whose brightness a test turns up and down, until it is stopped."""
 
-    name, width, height, frame_rate_hz = "lamp", WIDTH, HEIGHT, 10.0
+    name, width, height, frame_rate_hz, skipped = "lamp", WIDTH, HEIGHT, 10.0, 0
 
     def __init__(self) -> None:
         self.picture = dome(1.0)
@@ -65,11 +66,17 @@ def test_a_browser_watches_while_frames_come(tmp_path: Path) -> None:
     rig = Rig(camera=Camera.orthographic(width=WIDTH, height=HEIGHT), response=RESPONSE)
     processor = LiveProcessor(rig)
 
-    run = LiveRun(lamp, processor, recorder.take)
+    def on_result(result: LiveResult, timed: TimedFrame) -> None:
+        shown.show(result, timed)
+
+    def on_failure(problem: VntError, timed: TimedFrame) -> None:
+        shown.show_failure(problem, timed)
+
+    run = LiveRun(lamp, processor, on_result, recorder.take, on_failure=on_failure)
     shown = LiveViewer(
         processor.depth_camera, ViewerOptions(port=free_port()), figures=run.figures, recorder=recorder
     )
-    thread = threading.Thread(target=run.run, args=(shown.show, shown.show_failure))
+    thread = threading.Thread(target=run.run)
     thread.start()
     try:
         with visit(shown.address, width=1200, height=800) as seen:
@@ -121,9 +128,12 @@ def test_a_slow_browser_draws_less_says_so_and_a_hidden_one_draws_nothing() -> N
     lamp = Lamp()
     processor = LiveProcessor(Rig(camera=Camera.orthographic(width=WIDTH, height=HEIGHT), response=RESPONSE))
 
-    run = LiveRun(lamp, processor)
+    def on_result(result: LiveResult, timed: TimedFrame) -> None:
+        shown.show(result, timed)
+
+    run = LiveRun(lamp, processor, on_result)
     shown = LiveViewer(processor.depth_camera, ViewerOptions(port=free_port()), figures=run.figures)
-    thread = threading.Thread(target=run.run, args=(shown.show, shown.show_failure))
+    thread = threading.Thread(target=run.run)
     thread.start()
     try:
         with visit(shown.address, width=1200, height=800) as seen:

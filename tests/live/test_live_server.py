@@ -19,12 +19,13 @@ from scipy import ndimage
 
 from tests.pipeline.conftest import RIG, dome_light
 from tests.report.test_viewer import free_port
+from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap
 from vntoolkit.io.footage.decoding import EncodedFrame
 from vntoolkit.live.capture import LiveFigures, LiveRecorder, TimedFrame
 from vntoolkit.live.frames import LiveProcessor, LiveResult
-from vntoolkit.live.page import LiveViewer, camera_block
+from vntoolkit.live.page import LiveViewer, PacketSizes, camera_block
 from vntoolkit.meshing.surface import mesh_from_depth
 from vntoolkit.options.depth import MeshOptions
 from vntoolkit.options.pages import ViewerOptions
@@ -143,6 +144,8 @@ def test_pictures_carry_normals_and_mark_what_is_clipped(dome: tuple[LiveResult,
         picture = camera_block(TimedFrame(frame=frame, arrived_s=0.0), 8)
         assert tuple(picture[2, 3]) == (255, 0, 255, 255)
         assert (np.delete(picture.reshape(-1, 4), 19, axis=0) == (70, 70, 70, 255)).all()
+    with pytest.raises(BadInput, match="sizes from 2 to"):
+        PacketSizes(grid=100_000)
 
 
 def test_a_touch_comes_with_its_depth_in_colours(dome: tuple[LiveResult, Camera]) -> None:
@@ -165,8 +168,10 @@ def test_a_touch_comes_with_its_depth_in_colours(dome: tuple[LiveResult, Camera]
 
 
 def test_one_packet_per_question_and_always_the_newest(viewer, dome):
+    assert viewer.watchers == 0
     viewer.show(dome[0], timed())  # nobody looks on
     page = Asked(viewer)
+    assert viewer.watchers == 1
     viewer.show(dome[0], timed())
     first, rest = opened(page.content) if page.join() is None else ({}, b"")
     assert first["serial"] == 2  # not the old one that was there when it asked
@@ -231,7 +236,8 @@ def test_only_the_page_itself_may_record_and_nonsense_is_refused(viewer: LiveVie
     recorder.stop()
     assert status_of(viewer.address) == 200
     assert status_of(url_of(viewer, "../../etc/passwd")) == 404
-    for query in ("", "id=a&serial=x&ago_ms=0&grid=9&normals=9&camera=9"):
+    for query in ("", "id=a&serial=x&ago_ms=0&grid=9&normals=9&camera=9",
+                  "id=a&serial=0&ago_ms=0&grid=9&normals=9&camera=999999"):  # fmt: skip
         assert status_of(url_of(viewer, "packet", query)) == 400
 
 

@@ -16,13 +16,13 @@ from vntoolkit.cli.output import print_next, say, unused
 from vntoolkit.cli.verb import verb
 from vntoolkit.diagnosis.finding import judge, require_known_checks
 from vntoolkit.diagnosis.rig_checks import findings_from_rig
-from vntoolkit.errors import BadInput
+from vntoolkit.errors import BadInput, VntError
 from vntoolkit.io.footage.captures import CaptureOptions, open_capture
 from vntoolkit.io.footage.decoding import EncodedFrame
 from vntoolkit.io.maps_and_meshes.masks import read_mask
 from vntoolkit.io.rigs import read_rig
 from vntoolkit.live import capture
-from vntoolkit.live.frames import FrameView, LiveProcessor
+from vntoolkit.live.frames import FrameView, LiveProcessor, LiveResult
 from vntoolkit.live.page import LiveViewer
 from vntoolkit.options.base import File, Named, OptionalFile, named, positive
 from vntoolkit.options.footage import MatteOptions, PictureLimits
@@ -130,14 +130,22 @@ def _watch(
     options: ViewerOptions | None,
     realtime: bool,
 ) -> None:
+    def on_result(result: LiveResult, timed: capture.TimedFrame) -> None:
+        shown.show(result, timed)
+
+    def on_failure(problem: VntError, timed: capture.TimedFrame) -> None:
+        shown.show_failure(problem, timed)
+
     def on_r() -> None:
-        if recorder.toggle():
-            say("recording", flush=True)
-        else:
-            say(f"not recording: {recorder.problem}" if recorder.problem else "recording stopped", flush=True)
+        try:
+            say("recording" if recorder.toggle() else "recording stopped", flush=True)
+        except VntError as error:  # nothing can be written there: go on showing
+            say(f"not recording: {error}", flush=True)
 
     wait_for_all = isinstance(source, capture.FileSource) and not realtime
-    run = capture.LiveRun(source, processor, recorder.take, wait_for_all=wait_for_all)
+    run = capture.LiveRun(
+        source, processor, on_result, recorder.take, on_failure=on_failure, wait_for_all=wait_for_all
+    )
     shown = LiveViewer(
         processor.depth_camera,
         options,
@@ -151,7 +159,7 @@ def _watch(
         if timer is not None:
             timer.start()
         with contextlib.suppress(KeyboardInterrupt), _keys(on_r):
-            run.run(shown.show, shown.show_failure)
+            run.run()
     finally:
         if timer is not None:
             timer.cancel()

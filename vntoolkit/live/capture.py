@@ -30,6 +30,7 @@ from vntoolkit.pipeline.threads import side_by_side
 _MOST_CAMERAS = 100  # OpenCV reads the hundreds of a number as the driver to take; a negative one crashes it
 _FAILED_READS = 30  # in a row: the camera is gone
 _STILLS_RATE_HZ = 30.0  # what a sequence of stills is played at
+_LATEST_FRAMES = 3  # a file's frame that is later than so many is skipped
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -47,6 +48,7 @@ class LiveSource(Protocol):
     width: int
     height: int
     frame_rate_hz: float
+    skipped: int  # frames that the source itself could not give in time
 
     def frames(self) -> Iterator[TimedFrame]:
         """Yield frames as they come, until the source ends."""
@@ -64,6 +66,7 @@ class CameraSource:
                 f"camera: expected a number from 0, the first camera, to {_MOST_CAMERAS - 1}, got {number}"
             )
         options = options or CameraOptions()
+        self.skipped = 0  # a driver does not tell
         self.name = f"camera {number}"
         cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # the one line below tells
         self._camera = cv2.VideoCapture(number)
@@ -102,8 +105,9 @@ class CameraSource:
 class FileSource:
     """A capture played as if it were filmed now: frame n is there n / rate seconds after the start.
 
-    A frame that could not be decoded in time arrives late, and counts from when it was due. realtime: False
-    gives frames as fast as they can be read.
+    A frame that could not be decoded in time arrives late, and counts from when it was due; where decoding
+    falls further behind, frames are skipped, and counted, as a camera would. realtime: False gives frames as
+    fast as they can be read.
     """
 
     def __init__(self, capture: Capture, *, realtime: bool = True) -> None:
@@ -112,18 +116,33 @@ class FileSource:
         self.width, self.height = info.width, info.height
         self.frame_rate_hz = info.frame_rate_hz or _STILLS_RATE_HZ
         self.realtime = realtime
+        self.skipped = 0
         self._capture = capture
 
     def frames(self) -> Iterator[TimedFrame]:
         """Yield the frames of the capture, in time."""
         start: float | None = None
-        for frame in self._capture.encoded_frames():
-            now = time.perf_counter()
-            start = now if start is None else start
-            due = start + frame.number / self.frame_rate_hz
-            if self.realtime:
-                time.sleep(max(0.0, due - now))
-            yield TimedFrame(frame=frame, arrived_s=due if self.realtime else now)
+        number: int | None = 0
+        while number is not None:
+            late_at = None
+            for frame in self._capture.encoded_frames(number):
+                now = time.perf_counter()
+                start = now if start is None else start
+                due = start + frame.number / self.frame_rate_hz
+                if self.realtime and now - due > _LATEST_FRAMES / self.frame_rate_hz:
+                    late_at = frame.number
+                    break
+                if self.realtime:
+                    time.sleep(max(0.0, due - now))
+                yield TimedFrame(frame=frame, arrived_s=due if self.realtime else now)
+            number = None if start is None or late_at is None else self._skip_from(late_at, start)
+
+    def _skip_from(self, number: int, start_s: float) -> int | None:
+        """Return the first frame that is not due yet, or None past the end; count those left out."""
+        following = int((time.perf_counter() - start_s) * self.frame_rate_hz) + 1
+        following = min(max(following, number + 1), len(self._capture))
+        self.skipped += following - number
+        return following if following < len(self._capture) else None
 
 
 _SLOTS = 2  # frames that wait; at 30 a second two are 67 ms
@@ -190,16 +209,20 @@ class LiveRun:
         self,
         source: LiveSource,
         processor: LiveProcessor,
+        on_result: Callable[[LiveResult, TimedFrame], None],
         on_arrival: Callable[[TimedFrame], None] = lambda frame: None,
         *,
+        on_failure: Callable[[VntError, TimedFrame], None] = lambda problem, frame: None,
         wait_for_all: bool = False,
     ) -> None:
-        """on_arrival: called for every frame, in the thread that takes them.
+        """on_result: called in the thread of `run`. on_arrival: in the one that takes frames, for every one.
 
+        on_failure: called in the thread of `run` for a frame without normals, such as a dark one.
         wait_for_all: never drop a frame but let the source wait, for a file that is not played in real time.
         """
         self._source, self._processor = source, processor
-        self._on_arrival, self._wait_for_all = on_arrival, wait_for_all
+        self._on_result, self._on_arrival = on_result, on_arrival
+        self._on_failure, self._wait_for_all = on_failure, wait_for_all
         self._waiting: deque[TimedFrame] = deque()
         self._changed = threading.Condition()
         self._ended = False
@@ -208,15 +231,10 @@ class LiveRun:
         self._arrivals, self._meter = LatencyMeter(), LatencyMeter()
         self._dropped = self._failed = 0
 
-    def run(
-        self,
-        on_result: Callable[[LiveResult, TimedFrame], None],
-        on_failure: Callable[[VntError, TimedFrame], None] = lambda problem, frame: None,
-    ) -> LiveFigures:
+    def run(self) -> LiveFigures:
         """Watch until the source ends; raise what it raised, once all that arrived is done.
 
         A frame that fails is counted and the next one is watched; where none succeeds, its error is raised.
-        on_failure: called for a frame without normals, such as a dark one.
         """
         failure: VntError | None = None
         taker = threading.Thread(target=self._take, name="live-source", daemon=True)
@@ -231,9 +249,9 @@ class LiveRun:
                 except VntError as problem:  # mostly that nothing lit is in view: watch on
                     self._failed += 1
                     failure = problem
-                    on_failure(problem, timed)
+                    self._on_failure(problem, timed)
                     continue
-                on_result(result, timed)
+                self._on_result(result, timed)
                 self._meter.reached(timed.arrived_s)
         finally:
             self.stop()
@@ -256,9 +274,9 @@ class LiveRun:
         """How it goes now."""
         rate, latency = self._meter.figures()
         return LiveFigures(
-            arrived=self._arrivals.count,
+            arrived=self._arrivals.count + self._source.skipped,
             processed=self._meter.count,
-            dropped=self._dropped,
+            dropped=self._dropped + self._source.skipped,
             failed=self._failed,
             arrival_hz=self._arrivals.figures()[0],
             rate_hz=rate,
@@ -309,7 +327,7 @@ class LiveRecorder:
     """Writes frames as FFV1 in Matroska, one file a recording; frames as the camera gave them, uncropped.
 
     A frame that finds the buffer full is lost to the recording, and counted in `lost`. A recording that fails
-    is over, or does not begin; `problem` says why, until the next one begins.
+    is over; `problem` says why, until the next one begins.
     """
 
     def __init__(self, folder: Path, frame_rate_hz: float) -> None:
@@ -336,11 +354,7 @@ class LiveRecorder:
         with self._lock:
             if self._queue is not None:
                 return
-            try:
-                folder = require_writable_folder(self._folder)
-            except VntError as error:  # nothing can be written there: the show goes on
-                self.problem = str(error)
-                return
+            folder = require_writable_folder(self._folder)
             stem = f"live-{datetime.now():%Y%m%d-%H%M%S}"
             path = folder / f"{stem}.mkv"
             count = 1

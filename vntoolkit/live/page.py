@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from vntoolkit.arrays import ByteArray
-from vntoolkit.errors import VntError
+from vntoolkit.errors import BadInput, VntError
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.live.capture import LatencyMeter, LiveFigures, LiveRecorder, TimedFrame
 from vntoolkit.live.frames import LiveResult, exposure_warnings
@@ -29,8 +29,22 @@ _CAPTION_S = 0.4  # numbers that change faster cannot be read
 _WARNED_S = 1.5  # a warning stays for so long, so that it can be read
 _PUT_OFF_S = 0.5  # a late result is not sent on, but after so long one is
 _ANSWER_S = 1.0  # an empty answer, where no frame comes
+_GONE_S = 3.0  # a page that has not asked for so long is closed
 _CLIPPED = (255, 0, 255, 255)
-Sizes = Mapping[str, int]  # longest sides in pixels of what is sent: grid, normals, camera
+_MOST_PX = 4096
+
+
+@dataclass(frozen=True, kw_only=True)
+class PacketSizes:
+    """Longest sides in pixels of what is sent: the grid of the surface, the normals, the camera's picture."""
+
+    grid: int = 80
+    normals: int = 320
+    camera: int = 240
+
+    def __post_init__(self) -> None:
+        if not all(2 <= side <= _MOST_PX for side in (self.grid, self.normals, self.camera)):
+            raise BadInput(f"live page: expected sizes from 2 to {_MOST_PX} pixels")
 
 
 @dataclass
@@ -68,6 +82,7 @@ class LiveViewer:
         self._deepest_mm = 0.0  # so far: the scale of depth does not jump back
         self._place: dict[str, list[float]] | None = None
         self._warned: dict[str, float] = {}
+        self._problem = ""
         self._server = LocalServer(
             options or ViewerOptions(),
             scene.scene_page("vntoolkit live", "live", {"records": recorder is not None}),
@@ -75,6 +90,12 @@ class LiveViewer:
             {} if recorder is None else {"/record": self._toggle},
         )
         self.address = self._server.address
+
+    @property
+    def watchers(self) -> int:
+        """Number of pages that look on."""
+        with self._changed:
+            return sum(time.perf_counter() - page.asked_s < _GONE_S for page in self._pages.values())
 
     def show(self, result: LiveResult, timed: TimedFrame) -> None:
         """Hand over a result; returns at once."""
@@ -103,10 +124,10 @@ class LiveViewer:
                 self._changed.notify_all()
 
     def _asked(self, query: Mapping[str, str]) -> bytes | None:
-        sizes = {name: int(query[name]) for name in ("grid", "normals", "camera")}
+        sizes = PacketSizes(**{name: int(query[name]) for name in ("grid", "normals", "camera")})
         return self._answer(query["id"], int(query["serial"]), int(query["ago_ms"]) / 1000, sizes)
 
-    def _answer(self, name: str, serial: int, ago_s: float, sizes: Sizes) -> bytes | None:
+    def _answer(self, name: str, serial: int, ago_s: float, sizes: PacketSizes) -> bytes | None:
         """Return the next result in time as a packet, empty where none comes; None once all is over."""
         now = time.perf_counter()
         with self._changed:
@@ -130,9 +151,9 @@ class LiveViewer:
         return self._pages.setdefault(name[:40], _Page())
 
     def _packet(
-        self, page: _Page, serial: int, result: LiveResult | None, timed: TimedFrame, sizes: Sizes
+        self, page: _Page, serial: int, result: LiveResult | None, timed: TimedFrame, sizes: PacketSizes
     ) -> bytes:
-        packet, pictures = scene.Packet(), {"camera": camera_block(timed, sizes["camera"])}
+        packet, pictures = scene.Packet(), {"camera": camera_block(timed, sizes.camera)}
         contact = None if result is None else result.contact
         header: dict[str, Any] = {"serial": serial, "status": self._status(page, contact)}
         if self._recorder is not None:
@@ -140,7 +161,7 @@ class LiveViewer:
         if result is not None:
             depth_map, normal_map = result.depth_map, result.normal_map
             pictures["normals"] = scene.normals_block(
-                normal_map, scene.stride_to(normal_map.shape, sizes["normals"])
+                normal_map, scene.stride_to(normal_map.shape, sizes.normals)
             )
             if depth_map is not None and contact is not None:
                 self._deepest_mm = max(self._deepest_mm, contact.depth_mm)
@@ -148,7 +169,7 @@ class LiveViewer:
                 pictures["dents"] = np.dstack([dents, np.full(dents.shape[:2], 255, np.uint8)])
             if depth_map is not None and depth_map.mask.any():
                 self._place = self._place or scene.place_of([scene.depth_box(depth_map, self._camera)])
-                stride = scene.stride_to(depth_map.shape, sizes["grid"])
+                stride = scene.stride_to(depth_map.shape, sizes.grid)
                 facts, steps = scene.depth_block(depth_map, self._camera, stride)
                 header |= {"place": self._place, "own": {"at": packet.add(steps), **facts}}
         header["pictures"] = {name: packet.raw_picture(picture) for name, picture in pictures.items()}
@@ -156,7 +177,11 @@ class LiveViewer:
 
     def _toggle(self, _query: Mapping[str, str]) -> None:
         assert self._recorder is not None
-        self._recorder.toggle()
+        try:
+            self._recorder.toggle()
+            self._problem = ""
+        except VntError as error:  # nothing can be written there: say so, go on showing
+            self._problem = str(error)
         with self._changed:
             for page in self._pages.values():
                 page.captioned_s = 0.0
@@ -176,7 +201,7 @@ class LiveViewer:
                 recording = recorder.files[-1].name if recorder.files else "…"
             if recorder.lost:
                 warnings.append(f"the recording lost {recorder.lost} frames: the disk is too slow")
-            warnings += [recorder.problem] if recorder.problem else []
+            warnings += [problem for problem in (recorder.problem, self._problem) if problem]
         cards = status_cards(self._figures(), rate, median)
         if contact is not None:
             cards = (*contact_cards(contact), *cards)
