@@ -40,16 +40,14 @@ class Band:
 
 
 class TemplateRaster:
-    """The pixels around one template: node (h, w) int32, −1 outside, and origin_px (2,), its first column and
-    row in the template's frame.
-    """
+    """The pixels around one template: node (h, w) int32, −1 outside."""
 
     def __init__(self, template: TrackingTemplate, lattice: TemplateLattice) -> None:
         pixels = template.pixels
-        self.origin_px = pixels.min(axis=0)
-        width, height = pixels.max(axis=0) + 1 - self.origin_px
+        origin = pixels.min(axis=0)
+        width, height = pixels.max(axis=0) + 1 - origin
         self._lattice = lattice
-        self._at = (pixels[:, 1] - self.origin_px[1], pixels[:, 0] - self.origin_px[0])
+        self._at = (pixels[:, 1] - origin[1], pixels[:, 0] - origin[0])
         self.node = np.full((int(height), int(width)), -1, dtype=np.int32)
         self.node[self._at] = lattice.node_of_vertex
 

@@ -38,19 +38,17 @@ def flow_between(
     first: NormalMap,
     second: NormalMap,
     expected: Flow | None = None,
-    relief: tuple[ReliefBytes, ReliefBytes] | None = None,
 ) -> Flow:
     """Return the flow (h, w, 2) in pixels that carries `first` to `second`.
 
-    expected: a guess, such as the flow of the frame before; None for no motion. relief: of both by
-    `bytes_from_normals`, where it is known already. Outside the mask of `first` the flow is extrapolated from
-    the nearest surface.
+    expected: a guess, such as the flow of the frame before; None for no motion. Outside the mask of `first`
+    the flow is extrapolated from the nearest surface.
     """
     require_same_size(first.mask, "first normal map", second.mask, "second normal map")
     height, width = first.shape
     if not (first.mask.any() and second.mask.any()):
         return np.zeros((height, width, 2), dtype=np.float32)
-    before, after = relief or (bytes_from_normals(first), bytes_from_normals(second))
+    before, after = bytes_from_normals(first), bytes_from_normals(second)
     start = np.zeros((height, width, 2), dtype=np.float32) if expected is None else expected
     return _lattice_flow(before, after, start, first.mask)
 

@@ -8,13 +8,13 @@ what direction it knows nothing. The expected error is that of the same problem 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from vntoolkit.arrays import FloatArray, Mask, Points2, VisibilityLabels
+from vntoolkit.arrays import FloatArray, Mask, Points, Points2, VisibilityLabels
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, NormalMap
 from vntoolkit.tracking.edge_prior import EdgePrior, Prior
@@ -56,15 +56,6 @@ _HIDDEN = 0.25  # share hidden from which a depth is not that of the pixel that 
 _TELLING = (0.2, 0.5)  # expected match from which a mismatch begins to tell that the surface is hidden …
 _WARNING = (0.1, 0.3)  # … or that it is not known where it is: a vertex too many in doubt does less harm
 _HALF_WAVE_PX = 8.0  # of the longest relief in the finest band: where that does not match, it is so far off
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class FittedFrame:
-    """positions_px: (n, 2). depth: (n,). uncertainty_px: (n,) the expected error, pixels."""
-
-    positions_px: Points2
-    depth: npt.NDArray[np.float64]
-    uncertainty_px: npt.NDArray[np.float64]
 
 
 class _View(NamedTuple):
@@ -134,9 +125,10 @@ class SurfaceFit:
         depth_map: DepthMap,
         labels: VisibilityLabels | None = None,
         paint: Paint | None = None,
-    ) -> FittedFrame:
-        """Fit to a frame, first from where the motion goes on to.
+    ) -> tuple[Points, npt.NDArray[np.float64]]:
+        """Fit to a frame, first from where the motion goes on to; return vertices and expected errors.
 
+        Vertices (n, 3) are in the camera frame, expected errors (n,) in pixels.
         before_px, last_px: (n, 2) in the last two frames. expected_px: (n,) the last one's expected error.
         previous: its normals. paint: None where the frame's is not known.
         """
@@ -165,11 +157,8 @@ class SurfaceFit:
         hidden = self._mismatched(measured.registration, _TELLING)
         running = self.running.with_frame(measured.registration.comparison)
         self.running = running.with_residuals(residuals, known, observable)
-        return FittedFrame(
-            positions_px=positions,
-            depth=self._depth(positions, depth_map, hidden),
-            uncertainty_px=self._uncertainty(square, measured),
-        )
+        vertices = self._camera.unproject(positions, self._depth(positions, depth_map, hidden))
+        return vertices, self._uncertainty(square, measured)
 
     def _predicted(
         self, before_px: Points2, last_px: Points2, previous: NormalMap, normal_map: NormalMap, view: _View

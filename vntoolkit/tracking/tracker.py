@@ -15,9 +15,7 @@ from vntoolkit.geometry.maps import DepthMap, NormalMap
 from vntoolkit.geometry.mesh import Mesh, cotangent_laplacian, graph_laplacian
 from vntoolkit.options.tracking import Tracker, TrackingOptions
 from vntoolkit.tracking.flow import (
-    ReliefBytes,
     advected_positions,
-    bytes_from_normals,
     flow_between,
     flow_from_tracks,
     targets_on_surface,
@@ -99,7 +97,6 @@ class SurfaceTracker:
             self._solver = _solver(self.template, self.options)
         self.state = tracked_frame(self.template.vertices_in_camera, uncertainty, camera)
         self._before, self._previous = self.state, template
-        self._relief: ReliefBytes | None = None  # of the frame before
 
     @property
     def mesh(self) -> Mesh:
@@ -117,7 +114,7 @@ class SurfaceTracker:
         require_same_size(normal_map.mask, "normals", self._previous.mask, "the frame before")
         require_same_size(depth_map.mask, "depth", normal_map.mask, "normals")
         if self._fit is not None and self.state.uncertainty_px is not None:
-            fitted = self._fit.fit(
+            vertices, uncertainty = self._fit.fit(
                 self._before.positions_px,
                 self.state.positions_px,
                 self.state.uncertainty_px,
@@ -126,10 +123,6 @@ class SurfaceTracker:
                 depth_map,
                 labels,
                 paint,
-            )
-            vertices, uncertainty = (
-                self.camera.unproject(fitted.positions_px, fitted.depth),
-                fitted.uncertainty_px,
             )
         else:
             vertices, uncertainty = self._published_step(normal_map, depth_map), None
@@ -154,7 +147,6 @@ class SurfaceTracker:
         Without the last, nothing but the template is.
         """
         self._before, self.state, self._previous = before, state, previous
-        self._relief = None
         if self._fit is not None:
             self._fit.reset(running)
 
@@ -164,10 +156,7 @@ class SurfaceTracker:
         moved = np.asarray(before.positions_px)
         if self.options.method is not Tracker.NO_REGISTRATION:
             expected = flow_from_tracks(self._before.positions_px, before.positions_px, normal_map.shape)
-            last = bytes_from_normals(self._previous) if self._relief is None else self._relief
-            self._relief = bytes_from_normals(normal_map)
-            flow = flow_between(self._previous, normal_map, expected, (last, self._relief))
-            moved = advected_positions(moved, flow)
+            moved = advected_positions(moved, flow_between(self._previous, normal_map, expected))
         targets, _ = targets_on_surface(moved, depth_map, self.camera, before.vertices_in_camera[:, 2])
         solver, vertices = self._solver, before.vertices_in_camera
         if isinstance(solver, TranslationRegulariser):
