@@ -27,13 +27,15 @@ class TemplateLattice:
     """Cells of the template and how they hang together.
 
     node_of_vertex: (n,). taps, shares: (n, 4) nodes whose values make a vertex's, and their weights, which
-    sum to 1. adjacency: (nodes, nodes), 1 for neighbours. cell_px: side of a cell. count: number of nodes.
+    sum to 1. adjacency: (nodes, nodes), 1 for neighbours. cells: (nodes, 2) column and row of each node's
+    cell, cell_px its side. count: number of nodes.
     """
 
     node_of_vertex: npt.NDArray[np.int32]
     taps: npt.NDArray[np.int32]
     shares: npt.NDArray[np.float32]
     adjacency: sp.csr_array
+    cells: npt.NDArray[np.int64]
     cell_px: int
     count: int
 
@@ -88,6 +90,7 @@ def lattice_on_template(template: TrackingTemplate, cell_px: int) -> TemplateLat
         taps=taps,
         shares=shares,
         adjacency=edges.astype(np.float64),
+        cells=np.stack([cell_of_node % columns, cell_of_node // columns], axis=1),
         cell_px=cell_px,
         count=int(nodes),
     )
