@@ -4,7 +4,9 @@ import os
 import re
 import tomllib
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from vntoolkit.__main__ import main
@@ -79,7 +81,7 @@ def test_a_library_that_is_not_installed_is_found(monkeypatch, capsys):
 def test_a_video_that_comes_back_changed_is_found(monkeypatch):
     monkeypatch.setattr(
         "vntoolkit.io.footage.video.VideoReader.frames",
-        lambda reader: ((number, 0) for number in range(3)),
+        lambda reader: iter([SimpleNamespace(values=np.zeros((24, 32, 3), np.uint8))] * 3),
     )
     with pytest.raises(doctor.BadCapture, match="came back with other values"):
         doctor.try_video()

@@ -197,7 +197,7 @@ def test_simulations_of_what_cannot_be_filmed(tmp_path: Path) -> None:
     ):
         simulate.simulate(job)
     (tmp_path / "simulation.json").write_bytes(b"\xff\xfe")
-    with pytest.raises(BadInput, match=r"simulation\.json: expected text in UTF-8; byte 0 is no text"):
+    with pytest.raises(BadInput, match=r"simulation\.json: expected a JSON file; byte 0 is no text in UTF-8"):
         simulate.simulate(job)
 
 
