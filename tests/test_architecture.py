@@ -87,7 +87,7 @@ LINES = {
     "live": 900,
     "materials": 2890,
     "meshing": 380,
-    "normals": 1430,
+    "normals": 1380,
     "options": 1470,
     "photometry": 1060,
     "pipeline": 7760,

@@ -311,8 +311,8 @@ def test_what_blur_takes_from_one_wave_follows_from_two_more_blurs(rng, length_p
     inverse = np.linalg.inv(MATRIX).astype(np.float32)
     found, whole = np.zeros((3, 15, 15), np.float32), np.ones((240, 240), bool)
     detail_kernel(
-        rows_of(light.astype(np.float32)), None, np.zeros((240, 240), bool), np.float32(0), None, whole, None,
-        inverse, RESPONSE.ambient.astype(np.float32), np.float32(1), side, found,
+        rows_of(light.astype(np.float32)), ~whole, whole, None, inverse, RESPONSE.ambient.astype(np.float32),
+        np.float32(1), side, found,
     )  # fmt: skip
     left = found[0].sum() / found[1].sum()
     taken = np.sqrt(2 * lost_over_left(found, blur_px, side) * left / _OF_MANY_WAVES)

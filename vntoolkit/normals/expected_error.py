@@ -36,7 +36,6 @@ from vntoolkit.normals.frame_evidence import (
     LONGEST,
     SHORTEST,
     Coefficients,
-    FrameLight,
     coefficients_from_rig,
     evidence_of_frame,
     evidence_row,
@@ -104,15 +103,15 @@ def with_expected_error(
     if labels is not None:
         require_shape(labels, shape, "visibility labels")
         labels = np.ascontiguousarray(labels)
-    clipped = np.ascontiguousarray(frame.clipped)
-    light = FrameLight(np.ascontiguousarray(frame.rgb), None, clipped, np.float32(0), None)
+    image, clipped = np.ascontiguousarray(frame.rgb), np.ascontiguousarray(frame.clipped)
     mask = np.ascontiguousarray(normal_map.mask)
     c = coefficients_from_rig(response, camera)
-    noise_deg, noise, constants = _judged(light, mask, labels, c, residual_deg, blur_px, residual_of_pixels)
+    evidence = evidence_of_frame(image, clipped, mask, labels, c, blur_px)
+    noise_deg, noise, constants = _judged(evidence, c, residual_deg, residual_of_pixels)
     error, weight = np.empty(shape, np.float32), np.empty(shape, np.float32)
     found = rows_of(np.ascontiguousarray(normal_map.normals_in_camera, np.float32))
     _error_kernel(
-        rows_of(light.image), found, mask, labels, _pairs_of_lights(response), noise, constants, error, weight
+        rows_of(image), found, mask, labels, _pairs_of_lights(response), noise, constants, error, weight
     )
     return replace(normal_map, error_deg=error, noise_deg=noise_deg, weight=weight)
 
@@ -175,15 +174,14 @@ def _pairs_of_lights(response: LightResponse) -> Float32Array:
 
 
 def _judged(
-    light: FrameLight, mask: Mask, labels: VisibilityLabels | None, c: Coefficients, residual_deg: float,
-    blur_px: float, of_pixels: bool,
-) -> tuple[Any, Any, Any]:  # fmt: skip
+    evidence: tuple[Any, Any, Any, Any], c: Coefficients, residual_deg: float, of_pixels: bool
+) -> tuple[Any, Any, Any]:
     """Return the noise by cells, in degrees as the bounds are, what `evidence_row` reads, and constants.
 
-    Constants, (47,): M⁻¹, the ambient light, the squared bound that all pixels share, noise along a normal
-    over that across it, and the ellipsoid.
+    evidence: of `evidence_of_frame`. Constants, (47,): M⁻¹, the ambient light, the squared bound that all
+    pixels share, noise along a normal over that across it, and the ellipsoid.
     """
-    noise, seen, rows, ellipsoid = evidence_of_frame(light, mask, labels, c, blur_px)
+    noise, seen, rows, ellipsoid = evidence
     residual = (_OF_RESIDUAL * max(residual_deg, 0.0)) ** 2
     if of_pixels and seen.any():
         residual = max(residual - float(_PER_NOISE * np.median(noise[seen > 0])), 0.0)
@@ -192,8 +190,8 @@ def _judged(
     return np.sqrt(_PER_NOISE * noise), rows, constants.astype(np.float32)
 
 
-# Compiled loops. A table of None stands for linear light: numba drops the branches for another. Rows are
-# flat slices, whose loops begin at 0: only such loops are done eight pixels at a time.
+# Compiled loops. Rows are flat slices, whose loops begin at 0: only such loops are done eight pixels at a
+# time.
 
 
 @njit(cache=True, error_model="numpy")
@@ -272,7 +270,7 @@ def _leave_out(
     reach = _LEFT_OUT_PX // 2
     apart = np.zeros(count + _LEFT_OUT_PX, np.float32)
     x, y, z = np.empty(count, np.float32), np.empty(count, np.float32), np.empty(count, np.float32)
-    read_row(found, None, x, y, z)
+    read_row(found, x, y, z)
     for u in range(count):
         square = (r[u] - x[u]) ** 2 + (g[u] - y[u]) ** 2 + (b[u] - z[u]) ** 2
         # in two directions; what is farther off is no noise
@@ -311,7 +309,7 @@ def _error_kernel(
         length, unlit = np.empty(count, np.float32), np.zeros(count, np.float32)
         row_noise = np.empty((3, count), np.float32)
         evidence_row(noise, np.int64(v), first, row_noise)
-        read_row(rgb[v, 3 * first : 3 * last], None, r, g, b)
+        read_row(rgb[v, 3 * first : 3 * last], r, g, b)
         found = None if labels is None else normals[v, 3 * first : 3 * last]
         if labels is not None:
             _unlit_row(r, g, b, found, labels[v, first:last], pairs, constants, unlit)

@@ -31,7 +31,7 @@ from vntoolkit.native import njit
 from vntoolkit.normals.inversion import read_row, rows_of
 from vntoolkit.normals.lost_detail import LEAST_BLUR_PX, detail_kernel, lost_over_left, side_of_squares
 from vntoolkit.photometry.frame import ALL_LIT
-from vntoolkit.photometry.levelling import map_row, span_of
+from vntoolkit.photometry.levelling import span_of
 from vntoolkit.photometry.response import LightResponse, changes_of_near_lamps
 from vntoolkit.spread import MEDIAN_TO_DEVIATION, robust_deviation
 from vntoolkit.threads import one_blas_thread
@@ -61,20 +61,6 @@ _ENTRIES[[2, 2, 3, 3, 4, 4], [0, 1, 0, 2, 1, 2], [1, 0, 2, 0, 2, 1]] = 1
 _OF_EQUAL_ENTRIES = np.diag([2 / 3, 2 / 3, 1 / 2, 1 / 2, 1 / 2])
 _OF_EQUAL_ENTRIES[[0, 1], [1, 0]] = -1 / 3
 _INDEPENDENT = 100  # of the samples: neighbours share their errors
-
-
-class FrameLight(NamedTuple):
-    """Where light is read: linear (h, w, 3), or stored integers with the linear value of each.
-
-    clipped: (h, w) of linear light; stored light is clipped from `white` on. maps: of these colours to those
-    that the M of the picture's centre forms, or None where they are so.
-    """
-
-    image: Any
-    table: Any
-    clipped: Any
-    white: np.float32
-    maps: Any
 
 
 class Coefficients(NamedTuple):
@@ -116,25 +102,26 @@ def coefficients_from_rig(
 
 
 def evidence_of_frame(
-    light: FrameLight, mask: Mask, labels: VisibilityLabels | None, c: Coefficients, blur_px: float
+    image: Any, clipped: Mask, mask: Mask, labels: VisibilityLabels | None, c: Coefficients, blur_px: float
 ) -> tuple[Any, Any, Any, Any]:
     """Return noise, where it was seen, what `evidence_row` reads, and the ellipsoid.
 
+    image: (h, w, 3), linear, as the M of the picture's centre forms it. clipped, mask: (h, w).
     Noise: (⌈h/16⌉, ⌈w/16⌉), radians²; seen: the same, 0 where neighbours tell it. Rows: (3, ⌈h/16⌉, w), noise
     and lost relief, radians², and squared residuals from the ellipsoid. Ellipsoid: see `fit_ellipsoid`.
     """
     height, width = mask.shape
     cells = (-(-height // _CELL), -(-width // _CELL))
     found = np.zeros((2, *cells), np.float32)
-    c = c._replace(darkest=np.float32(_least_length(light.image, light.table, mask, c)))
+    c = c._replace(darkest=np.float32(_least_length(image, mask, c)))
     lit = mask if labels is None else mask & (labels == ALL_LIT)  # a shadow's normals belong to no surface
-    _curl_kernel(rows_of(light.image), light.table, light.maps, lit, c, found)
+    _curl_kernel(rows_of(image), lit, c, found)
     noise, rows = _means_of_cells(found), np.zeros((3, cells[0], width), np.float32)
     rows[0] = _along_rows(noise, width)
     known = int(found[1].sum()) * _CELL
     step = max(1, int(math.sqrt(max(known, mask.size // _MOST_PER_KNOWN) // _SAMPLES)))
     samples = np.empty((5, -(-height // step) * -(-width // step)))
-    count = _samples_kernel(*light, mask, labels, c, step, samples)
+    count = _samples_kernel(image, clipped, mask, labels, c, step, samples)
     ellipsoid, residuals = fit_ellipsoid(samples[:, :count], (height, width), c.nearness)
     u, v = samples[3:, :count].astype(np.intp) // _CELL
     sums = [np.bincount(v * cells[1] + u, weights, math.prod(cells)) for weights in (residuals**2, None)]
@@ -144,8 +131,7 @@ def evidence_of_frame(
     if blur_px >= LEAST_BLUR_PX:
         side, left = side_of_squares(blur_px), np.zeros((3, *cells), np.float32)
         detail_kernel(
-            rows_of(light.image), *light[1:], mask, labels, c.inverse, c.ambient, np.float32(ellipsoid[0]),
-            side, left,
+            rows_of(image), clipped, mask, labels, c.inverse, c.ambient, np.float32(ellipsoid[0]), side, left
         )  # fmt: skip
         lost = np.float32(lost_over_left(left, blur_px, side)) * _means_of_cells(left[:2])
         rows[1] = _along_rows(lost, width)
@@ -226,18 +212,18 @@ def _rounded(values: Any) -> Any:
     return np.floor(np.asarray(values) / _GRID + 0.5) * _GRID
 
 
-# Compiled loops. A table of None stands for linear light: numba drops the branches for another. Rows are
-# flat slices, whose loops begin at 0: only such loops are done eight pixels at a time.
+# Compiled loops. Rows are flat slices, whose loops begin at 0: only such loops are done eight pixels at a
+# time.
 
 
 @njit(cache=True, error_model="numpy")
-def _least_length(image: Any, table: Any, mask: Mask, c: Coefficients) -> np.float32:
+def _least_length(image: Any, mask: Mask, c: Coefficients) -> np.float32:
     """Return the length of M⁻¹(r − a) below which a pixel is backdrop, hair, or another paint."""
     step = max(1, int(math.sqrt(mask.size // _GRID_PIXELS)))
     squares, count = np.empty(-(-mask.shape[0] // step) * -(-mask.shape[1] // step), np.float32), 0
     for v in range(step // 2, mask.shape[0], step):
         for u in range(step // 2, mask.shape[1], step):
-            square = _light_at(image, table, c, v, u)[3]
+            square = _light_at(image, c, v, u)[3]
             if mask[v, u] and square > 0:
                 squares[count] = square
                 count += 1
@@ -249,14 +235,10 @@ def _least_length(image: Any, table: Any, mask: Mask, c: Coefficients) -> np.flo
 
 
 @njit(cache=True, error_model="numpy")
-def _light_at(image: Any, table: Any, c: Coefficients, v: int, u: int) -> tuple[Any, Any, Any, Any]:
+def _light_at(image: Any, c: Coefficients, v: int, u: int) -> tuple[Any, Any, Any, Any]:
     """Return r − a of a pixel, and the squared length of M⁻¹(r − a), 0 where it faces away."""
     pixel, inverse, ambient = image[v, u], c.inverse, c.ambient
-    if table is None:
-        r, g, b = pixel[0], pixel[1], pixel[2]
-    else:
-        r, g, b = table[pixel[0]], table[pixel[1]], table[pixel[2]]
-    r, g, b = r - ambient[0], g - ambient[1], b - ambient[2]
+    r, g, b = pixel[0] - ambient[0], pixel[1] - ambient[1], pixel[2] - ambient[2]
     x = inverse[0, 0] * r + inverse[0, 1] * g + inverse[0, 2] * b
     y = inverse[1, 0] * r + inverse[1, 1] * g + inverse[1, 2] * b
     z = inverse[2, 0] * r + inverse[2, 1] * g + inverse[2, 2] * b
@@ -265,13 +247,11 @@ def _light_at(image: Any, table: Any, c: Coefficients, v: int, u: int) -> tuple[
 
 @njit(cache=True, error_model="numpy")
 def _samples_kernel(
-    image: Any, table: Any, clipped: Any, white: Any, maps: Any, mask: Mask, labels: Any, c: Coefficients,
-    step: int, samples: Any,
-) -> int:  # fmt: skip
+    image: Any, clipped: Any, mask: Mask, labels: Any, c: Coefficients, step: int, samples: Any
+) -> int:
     """Fill (5, n) with M⁻¹(r − a) and the place u, v on a grid; return how many are lit all around."""
     height, width = mask.shape
-    mean = np.empty((3, 1), np.float32)
-    inverse, ambient = c.inverse, c.ambient
+    inverse = c.inverse
     count, least = 0, c.darkest * c.darkest
     for v in range(step // 2, height, step):
         for u in range(step // 2, width, step):
@@ -280,24 +260,17 @@ def _samples_kernel(
             r, g, b, sound = np.float32(0), np.float32(0), np.float32(0), True
             for far_v, far_u in ((-_EDGE_PX, 0), (_EDGE_PX, 0), (0, -_EDGE_PX), (0, _EDGE_PX)):
                 at_v, at_u = min(max(v + far_v, 0), height - 1), min(max(u + far_u, 0), width - 1)
-                sound &= _light_at(image, table, c, at_v, at_u)[3] > least  # no backdrop
+                sound &= _light_at(image, c, at_v, at_u)[3] > least  # no backdrop
             for near_v in range(v - 2, v + 3, 2):  # a mean of nine has less noise
                 for near_u in range(u - 2, u + 3, 2):
-                    red, green, blue, square = _light_at(image, table, c, near_v, near_u)
+                    red, green, blue, square = _light_at(image, c, near_v, near_u)
                     sound &= mask[near_v, near_u] and square > least
                     if labels is not None:
                         sound &= labels[near_v, near_u] == ALL_LIT
-                    if clipped is None:
-                        sound &= max(red + ambient[0], green + ambient[1], blue + ambient[2]) < white
-                    else:
-                        sound &= not clipped[near_v, near_u]
+                    sound &= not clipped[near_v, near_u]
                     r, g, b = r + red, g + green, b + blue
             ninth = np.float32(1 / _NEAR_PIXELS)
-            mean[0, 0], mean[1, 0] = r * ninth + ambient[0], g * ninth + ambient[1]
-            mean[2, 0] = b * ninth + ambient[2]
-            if maps is not None:
-                map_row(maps, v, u, mean[0], mean[1], mean[2])
-            r, g, b = mean[0, 0] - ambient[0], mean[1, 0] - ambient[1], mean[2, 0] - ambient[2]
+            r, g, b = r * ninth, g * ninth, b * ninth
             x = inverse[0, 0] * r + inverse[0, 1] * g + inverse[0, 2] * b
             y = inverse[1, 0] * r + inverse[1, 1] * g + inverse[1, 2] * b
             z = inverse[2, 0] * r + inverse[2, 1] * g + inverse[2, 2] * b
@@ -311,17 +284,14 @@ def _samples_kernel(
 
 @njit(cache=True, error_model="numpy")
 def _slopes_row(
-    line: Any, table: Any, maps: Any, inside: Any, c: Coefficients, v: int, first: int, p: Any, q: Any,
-    known: Any,
-) -> None:  # fmt: skip
+    line: Any, inside: Any, c: Coefficients, v: int, first: int, p: Any, q: Any, known: Any
+) -> None:
     """Put in the slopes p, q of the colours' own normals, and cos^1.5 of their inclination; 0 for no normal.
 
     A turn by ε moves the slope by ε / cos² along the inclination and ε / cos across. v, first: the place of
     the first pixel.
     """
-    read_row(line, table, p, q, known)
-    if maps is not None:
-        map_row(maps, v, first, p, q, known)
+    read_row(line, p, q, known)
     inverse, ambient, rays, one = c.inverse, c.ambient, c.rays, np.float32(1.0)
     i00, i01, i02 = inverse[0, 0], inverse[0, 1], inverse[0, 2]
     i10, i11, i12 = inverse[1, 0], inverse[1, 1], inverse[1, 2]
@@ -345,21 +315,19 @@ def _slopes_row(
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
-def _curl_kernel(image: Any, table: Any, maps: Any, mask: Mask, c: Coefficients, found: Any) -> None:
+def _curl_kernel(image: Any, mask: Mask, c: Coefficients, found: Any) -> None:
     """Sum up the squared circulation, as an angle in radians, and its places, along the middle of cells."""
     width = mask.shape[1]
     for cell in prange(found.shape[1]):
         v = min(cell * _CELL + _CELL // 2 - 1, mask.shape[0] - 1 - _LOOP_PX)
         if v >= _LOOP_PX:
             sizes, places = np.empty(width, np.float32), np.zeros(width, np.bool_)
-            _curl_row(image, table, maps, mask, c, v, sizes, places)
+            _curl_row(image, mask, c, v, sizes, places)
             _squares_of_cells(sizes, places, found[0, cell], found[1, cell])
 
 
 @njit(cache=True, error_model="numpy")
-def _curl_row(
-    image: Any, table: Any, maps: Any, mask: Mask, c: Coefficients, v: int, found: Any, places: Any
-) -> None:
+def _curl_row(image: Any, mask: Mask, c: Coefficients, v: int, found: Any, places: Any) -> None:
     width, zero, half, one = mask.shape[1], np.float32(0.0), np.float32(0.5), np.float32(1.0)
     first, last = span_of(mask[v])
     # one array each, whose slices have no stride: eight pixels at a time
@@ -368,8 +336,8 @@ def _curl_row(
     all_known, here = np.ones(width, np.float32), np.empty(width, np.float32)
     for step in range(-_LOOP_PX, _LOOP_PX + 1):
         _slopes_row(
-            image[v + step, 3 * first : 3 * last], table, maps, mask[v + step, first:last], c, v + step,
-            first, p[first:last], q[first:last], known[first:last],
+            image[v + step, 3 * first : 3 * last], mask[v + step, first:last], c, v + step, first,
+            p[first:last], q[first:last], known[first:last],
         )  # fmt: skip
         is_end = abs(step) == _LOOP_PX
         share, sign = half if is_end else one, one if step > 0 else -one

@@ -192,7 +192,7 @@ def _normals_kernel(
         first, last = span_of(inside[v])
         count = last - first
         x, y, z = np.empty(count, np.float32), np.empty(count, np.float32), np.empty(count, np.float32)
-        read_row(image[v, 3 * first : 3 * last], None, x, y, z)
+        read_row(image[v, 3 * first : 3 * last], x, y, z)
         if maps is not None:
             map_row(maps, np.int64(v), first, x, y, z)
         _mix_row(c, x, y, z)
@@ -209,13 +209,10 @@ def _normals_kernel(
 
 
 @njit(cache=True, error_model="numpy")
-def read_row(line: Any, table: Any, r: Any, g: Any, b: Any) -> None:
-    """Fill three rows from one of colours, (3 w,): linear, or stored integers through a decoding table."""
+def read_row(line: Any, r: Any, g: Any, b: Any) -> None:
+    """Fill three rows (w,) from a row of colours or normals, (3 w,)."""
     for u in range(len(r)):
-        if table is None:
-            r[u], g[u], b[u] = line[3 * u], line[3 * u + 1], line[3 * u + 2]
-        else:
-            r[u], g[u], b[u] = table[line[3 * u]], table[line[3 * u + 1]], table[line[3 * u + 2]]
+        r[u], g[u], b[u] = line[3 * u], line[3 * u + 1], line[3 * u + 2]
 
 
 @njit(cache=True, error_model="numpy")

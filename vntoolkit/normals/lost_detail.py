@@ -24,7 +24,6 @@ from vntoolkit.geometry.maps import NOISE_CELL_PX
 from vntoolkit.native import njit
 from vntoolkit.normals.inversion import read_row
 from vntoolkit.photometry.frame import ALL_LIT
-from vntoolkit.photometry.levelling import map_row
 
 LEAST_BLUR_PX = 0.3  # what a sharper picture loses is less than its other errors
 _CELL = NOISE_CELL_PX
@@ -59,8 +58,8 @@ def lost_over_left(found: Any, blur_px: float, side: int) -> float:
 
 @njit(cache=True, parallel=True, error_model="numpy")
 def detail_kernel(
-    image: Any, table: Any, clipped: Any, white: Any, maps: Any, mask: Any, labels: Any, inverse: Any,
-    ambient: Any, inverse_albedo: Any, side: int, found: Any,
+    image: Any, clipped: Any, mask: Any, labels: Any, inverse: Any, ambient: Any, inverse_albedo: Any,
+    side: int, found: Any,
 ) -> None:  # fmt: skip
     """Sum up what the second and the third blur take from normals, squared, without noise's part, radians².
 
@@ -72,15 +71,14 @@ def detail_kernel(
         top = cell * _CELL + (_CELL - _ROWS * side) // 2
         if cell % 2 == 0 and top >= 0 and top + _ROWS * side <= height:  # neighbours tell the others
             _detail_row(
-                image, table, clipped, white, maps, mask, labels, inverse, ambient, inverse_albedo, side,
-                top, found[:, cell],
+                image, clipped, mask, labels, inverse, ambient, inverse_albedo, side, top, found[:, cell]
             )  # fmt: skip
 
 
 @njit(cache=True, error_model="numpy")
 def _detail_row(
-    image: Any, table: Any, clipped: Any, white: Any, maps: Any, mask: Any, labels: Any, inverse: Any,
-    ambient: Any, inverse_albedo: Any, side: int, top: int, found: Any,
+    image: Any, clipped: Any, mask: Any, labels: Any, inverse: Any, ambient: Any, inverse_albedo: Any,
+    side: int, top: int, found: Any,
 ) -> None:  # fmt: skip
     width = mask.shape[1]
     squares, zero = width // side, np.float32(0.0)
@@ -90,8 +88,8 @@ def _detail_row(
     normals, sound = np.zeros((_ROWS, 3, width), np.float32), np.ones(squares, np.float32)
     for k in range(_ROWS):
         _squares_row(
-            image, table, clipped, white, maps, mask, labels, inverse, ambient, inverse_albedo, side,
-            top + k * side, normals[k], sound,
+            image, clipped, mask, labels, inverse, ambient, inverse_albedo, side, top + k * side, normals[k],
+            sound,
         )  # fmt: skip
     near = np.ones(inner, np.float32)
     for k in range(2 * _BESIDE + 2):
@@ -174,8 +172,8 @@ def _smooth_along(row: Any) -> None:
 
 @njit(cache=True, error_model="numpy")
 def _squares_row(
-    image: Any, table: Any, clipped: Any, white: Any, maps: Any, mask: Any, labels: Any, inverse: Any,
-    ambient: Any, inverse_albedo: Any, side: int, top: int, normals: Any, sound: Any,
+    image: Any, clipped: Any, mask: Any, labels: Any, inverse: Any, ambient: Any, inverse_albedo: Any,
+    side: int, top: int, normals: Any, sound: Any,
 ) -> None:  # fmt: skip
     """Fill the normals of a row of squares, (3, w), and put 0 where not all of a square is lit subject."""
     width, zero, one = mask.shape[1], np.float32(0.0), np.float32(1.0)
@@ -183,20 +181,13 @@ def _squares_row(
     r, g, b = np.empty(width, np.float32), np.empty(width, np.float32), np.empty(width, np.float32)
     good = np.ones(width, np.float32)
     for v in range(top, top + side):
-        read_row(image[v], table, r, g, b)
+        read_row(image[v], r, g, b)
         inside = mask[v]
         for u in range(width):
-            if clipped is None:
-                largest = max(r[u], g[u])  # of two at a time: numba makes SIMD of that
-                kept = inside[u] & (max(largest, b[u]) < white)
-            else:
-                kept = inside[u] & (not clipped[v, u])
-            good[u] = good[u] if kept else zero
+            good[u] = good[u] if inside[u] & (not clipped[v, u]) else zero
         if labels is not None:
             for u in range(width):
                 good[u] = good[u] if labels[v, u] == ALL_LIT else zero
-        if maps is not None:
-            map_row(maps, np.int64(v), 0, r, g, b)
         for u in range(width):
             x[u] += r[u]
             y[u] += g[u]
