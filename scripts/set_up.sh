@@ -12,12 +12,11 @@ has_library() { { /sbin/ldconfig -p 2>/dev/null || ldconfig -p; } | grep -q "$1"
 command -v "$python" >/dev/null 2>&1 || wanted="$wanted python3"
 "$python" -c 'import venv, ensurepip' >/dev/null 2>&1 || wanted="$wanted python3-venv"
 # open3d needs the first four, pymeshlab the last three; without libOpenGL it cannot save a .ply file.
-# numba's parallel loops need libgomp. vntoolkit/native.py holds the same list.
+# vntoolkit/libraries.py holds the same list.
 has_library libGL.so.1 || wanted="$wanted libgl1"
 has_library libEGL.so.1 || wanted="$wanted libegl1"
 has_library libusb-1.0.so.0 || wanted="$wanted libusb-1.0-0"
 has_library libidn2.so.0 || wanted="$wanted libidn2-0"
-has_library libgomp.so.1 || wanted="$wanted libgomp1"
 has_library libOpenGL.so.0 || wanted="$wanted libopengl0"
 has_library libcom_err.so.2 || wanted="$wanted libcom-err2"
 has_library libp11-kit.so.0 || wanted="$wanted libp11-kit0"

@@ -29,8 +29,6 @@ PYMESHLAB_LIBRARIES = {
     "libcom_err.so.2": "libcom-err2",
     "libp11-kit.so.0": "libp11-kit0",
 }
-# Without OpenMP numba falls back to a layer whose parallel loops only one thread of a process may run.
-NUMBA_LIBRARIES = {"libgomp.so.1": "libgomp1"}
 # Open3D is published twice: without CUDA, for Linux on x86-64 only, and with it, for every system.
 OPEN3D_DISTRIBUTIONS = ("open3d-cpu", "open3d")
 # What the loader of glibc says, of any library and of those that it needs in turn.
@@ -87,7 +85,7 @@ def remedy(libraries: dict[str, str]) -> str:
 
 def libraries_named_in(text: str) -> dict[str, str]:
     """Return the shared libraries that a loader's message says are missing, with their packages."""
-    known = {**OPEN3D_LIBRARIES, **PYMESHLAB_LIBRARIES, **NUMBA_LIBRARIES}
+    known = {**OPEN3D_LIBRARIES, **PYMESHLAB_LIBRARIES}
     return {library: known.get(library, "") for library in _NOT_LOADED.findall(text)}
 
 

@@ -9,9 +9,9 @@ import stat
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from typing import Any
+from typing import Any, TypeVar
 
-from vntoolkit.threads import NUMBA_LAYERS, set_thread_policy, thread_policy
+from vntoolkit.threads import set_thread_policy
 
 _TRIM_THRESHOLD, _TOP_PAD, _MMAP_THRESHOLD = -1, -2, -3  # of mallopt(3)
 _KEPT_BYTES = 1 << 30
@@ -20,25 +20,11 @@ _LOGGER = logging.getLogger(__name__)
 
 
 def limit_threads(count: int) -> None:
-    """Limit OpenCV and numba in this process to so many threads, so that worker processes share the cores."""
+    """Limit OpenCV in this process to so many threads, so that worker processes share the cores."""
     set_thread_policy()
     import cv2
-    import numba
 
     cv2.setNumThreads(count)
-    numba.set_num_threads(min(count, numba.get_num_threads()))
-
-
-def loops_may_overlap() -> bool:
-    """True where two threads of this process may run parallel loops at once.
-
-    Where there is neither OpenMP nor TBB, numba's own layer ends a process that does.
-    """
-    import numba
-
-    numba.get_num_threads()  # which starts the layer
-    layer: str = numba.threading_layer()  # type: ignore[attr-defined]
-    return layer != "workqueue"
 
 
 def end_with_parent() -> None:
@@ -89,45 +75,26 @@ def one_opencv_thread() -> Iterator[None]:
 
 # Kernels, whose machine code is kept on disk where that can be, and made again where it cannot.
 
-# Flags of `fastmath` that change no digit. With others, a parallel loop rounds otherwise in the process that
-# compiles it than in those that find it in the cache: they run code that was optimised once more.
-_EXACT = {"nnan", "ninf", "nsz"}
+_Function = TypeVar("_Function", bound=Callable[..., Any])
 
 
-def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """`numba.njit` with options, without Python's lock, and what goes wrong with its cache stops no kernel.
+def njit(function: _Function | None = None, **options: Any) -> Any:
+    """`numba.njit` as this package uses it; what goes wrong with its cache stops no kernel.
 
-    With the lock, the threads that read and write files would wait for every kernel that a frame takes.
-    Where neither the package's own folder nor the user's may be written to (another user, no home), machine
-    code is kept in a private temporary folder. A cache that is full or damaged is passed over, and repaired
-    where it can be.
-
-    fastmath: True for the flags that change no digit.
+    A kernel runs in one thread and without Python's lock: several frames, or steps of a frame, are at work at
+    a time instead. Division by 0 gives infinity or NaN, as in numpy, so that loops are done several pixels at
+    a time. Where neither the package's own folder nor the user's may be written to (another user, no home),
+    machine code is kept in a private temporary folder. A cache that is full or damaged is passed over, and
+    repaired where it can be.
     """
-    numba = _numba()
-    is_kept = options.pop("cache", False)
-    options["fastmath"] = _EXACT if options.get("fastmath") else False
+    import numba
 
-    def compiled(function: Callable[..., Any]) -> Any:
-        kernel = numba.njit(nogil=True, **options)(function)
-        if is_kept:
-            with contextlib.suppress(Exception):
-                kernel._cache = _ForgivingCache(_cache_of(function), function)  # as `cache=True` sets it
-        return kernel
-
-    return compiled
-
-
-@functools.cache
-def _numba() -> Any:
-    """Import numba, whose OpenMP threads wait without spinning; what the user has set stays."""
-    with thread_policy():
-        import numba
-
-        with contextlib.suppress(OSError):
-            ctypes.CDLL("libgomp.so.1")  # which reads the environment once, now
-        numba.config.THREADING_LAYER_PRIORITY = os.environ[NUMBA_LAYERS].split()  # type: ignore[attr-defined]
-    return numba
+    if function is None:
+        return functools.partial(njit, **options)
+    kernel = numba.njit(nogil=True, error_model="numpy", **options)(function)
+    with contextlib.suppress(Exception):
+        kernel._cache = _ForgivingCache(_cache_of(function), function)  # as `cache=True` sets it
+    return kernel
 
 
 def _cache_of(function: Callable[..., Any]) -> Any:

@@ -159,7 +159,7 @@ def _level_of(edges: Grid) -> GridLevel:
 # Compiled loops over images with a rim of zeros.
 
 
-@njit(cache=True, fastmath=True, error_model="numpy")
+@njit
 def _level_kernel(edges: Grid, inverse: Grid, shares: Grid) -> None:
     """Fill what `GridLevel` holds beside the edges."""
     one = np.float32(1.0)
@@ -181,7 +181,7 @@ def _level_kernel(edges: Grid, inverse: Grid, shares: Grid) -> None:
                 shares[1, v, u], shares[2, v, u] = beside / over, along / over
 
 
-@njit(cache=True, fastmath=True, error_model="numpy")
+@njit
 def _share(outer: np.float32, within: np.float32, diagonal: np.float32) -> np.float32:
     """Return the share of the next block: a quarter where all edges are alike, as between blocks' centres.
 
@@ -193,7 +193,7 @@ def _share(outer: np.float32, within: np.float32, diagonal: np.float32) -> np.fl
     return max(outer, zero) / (max(outer, zero) + np.float32(3.0) * max(within, zero) + _WEAK * diagonal)
 
 
-@njit(cache=True, fastmath=True, error_model="numpy")
+@njit
 def _product_kernel(edges: Grid, x: Grid, out: Grid) -> None:
     h, w = x.shape
     for v in range(1, h - 1):
@@ -214,7 +214,7 @@ def _product_kernel(edges: Grid, x: Grid, out: Grid) -> None:
                 )  # fmt: skip
 
 
-@njit(cache=True, fastmath=True, error_model="numpy")
+@njit
 def _sweep_kernel(edges: Grid, inverse: Grid, right: Grid, forward: bool, x: Grid) -> None:
     """One Gauss–Seidel sweep over the four colours; backward, the reverse of that."""
     h, w = x.shape
@@ -244,7 +244,7 @@ def _sweep_kernel(edges: Grid, inverse: Grid, right: Grid, forward: bool, x: Gri
                     here[u] = sums[u] * scale[u] if u & 1 == parity else here[u]
 
 
-@njit(cache=True, fastmath=True, error_model="numpy")
+@njit
 def _restrict_kernel(shares: Grid, residual: Grid, coarse: Grid) -> None:
     """Add residuals to the blocks that their pixels' corrections come from: the transpose of prolonging."""
     h, w = residual.shape
@@ -258,7 +258,7 @@ def _restrict_kernel(shares: Grid, residual: Grid, coarse: Grid) -> None:
             other_row[block] += along[u] * left[u]
 
 
-@njit(cache=True, fastmath=True, error_model="numpy")
+@njit
 def _prolong_kernel(shares: Grid, coarse: Grid, x: Grid) -> None:
     """Add the coarser grid's correction."""
     h, w = x.shape

@@ -1,7 +1,7 @@
 """How libraries share the cores while a verb runs; the caller's process is left as it was.
 
-Thread pools that spin while they wait take the cores from the pool that works: a frame then takes 17 to 22 ms
-instead of 7. numba would try TBB first and warn of an old one. What the user has set stays.
+The threads of a BLAS spin for milliseconds after a product of two matrices: they take the cores from the
+steps of other frames. What the user has set stays.
 """
 
 from __future__ import annotations
@@ -16,14 +16,7 @@ TYPE_CHECKING = False  # importing typing takes time, and a Ctrl-C before `main`
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-NUMBA_LAYERS = "NUMBA_THREADING_LAYER_PRIORITY"
-_POLICY = {
-    "OPENBLAS_NUM_THREADS": "1",
-    "OMP_WAIT_POLICY": "PASSIVE",
-    "GOMP_SPINCOUNT": "0",
-    "KMP_BLOCKTIME": "0",
-    NUMBA_LAYERS: "omp tbb workqueue",
-}
+_THREADS = "OPENBLAS_NUM_THREADS"
 _lock = _thread.allocate_lock()
 _limits: list[int] = []  # an entry for each block within `one_blas_thread`
 _before: list[tuple[ctypes.CDLL, str, int]] = []  # what the first of them found
@@ -32,8 +25,7 @@ _OPENBLAS = ("scipy_openblas_{}_num_threads64_", "scipy_openblas_{}_num_threads"
 
 def set_thread_policy() -> None:
     """Set this process's environment, before libraries are loaded: for processes that are our own."""
-    for name, value in _POLICY.items():
-        os.environ.setdefault(name, value)
+    os.environ.setdefault(_THREADS, "1")
 
 
 @contextlib.contextmanager
@@ -42,25 +34,21 @@ def thread_policy() -> Iterator[None]:
 
     The environment is put back, and so is the number of threads of a BLAS that was loaded before.
     """
-    before = {name: os.environ.get(name) for name in _POLICY}
+    if _THREADS in os.environ:
+        yield
+        return
     set_thread_policy()
     _openblas.cache_clear()
-    limit = one_blas_thread() if before["OPENBLAS_NUM_THREADS"] is None else contextlib.nullcontext()
     try:
-        with limit:
+        with one_blas_thread():
             yield
     finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
+        os.environ.pop(_THREADS, None)
 
 
 @contextlib.contextmanager
 def one_blas_thread() -> Iterator[None]:
-    """Let the products of matrices within the block take one thread, of every OpenBLAS that is loaded.
-
-    Its other threads spin for milliseconds after a product of two, beside the compiled loops of the frame.
-    """
+    """Let the products of matrices within the block take one thread, of every OpenBLAS that is loaded."""
     with _lock:  # blocks may overlap, in several threads: the first limits, the last puts back
         if not _limits:
             _before[:] = [(library, name, library[name.format("get")]()) for library, name in _openblas()]

@@ -11,11 +11,11 @@ import pytest
 
 from vntoolkit.__main__ import main
 from vntoolkit.cli import doctor
-from vntoolkit.libraries import NUMBA_LIBRARIES, OPEN3D_LIBRARIES, PYMESHLAB_LIBRARIES
+from vntoolkit.libraries import OPEN3D_LIBRARIES, PYMESHLAB_LIBRARIES
 
 ROOT = Path(__file__).resolve().parents[2]
 LOCK = ROOT / "requirements.lock"
-SYSTEM_LIBRARIES = {**OPEN3D_LIBRARIES, **PYMESHLAB_LIBRARIES, **NUMBA_LIBRARIES}
+SYSTEM_LIBRARIES = {**OPEN3D_LIBRARIES, **PYMESHLAB_LIBRARIES}
 
 
 @pytest.fixture

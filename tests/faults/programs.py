@@ -41,7 +41,7 @@ def start(
 
     return subprocess.Popen(
         [sys.executable, "-m", "vntoolkit", *arguments],
-        env={**os.environ, "OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1", **(environment or {})},
+        env={**os.environ, **(environment or {})},
         preexec_fn=begin,  # noqa: PLW1509 - no thread runs here
         start_new_session=True, cwd=CHECKOUT,
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, errors="replace",

@@ -38,7 +38,7 @@ from vntoolkit.io.maps_and_meshes.exr import ExrCompression, write_exr
 from vntoolkit.io.results.folder import LOCK_NAME, read_lock, write_lock
 from vntoolkit.io.results.sequences import read_mesh_sequence
 
-ENVIRONMENT = {**os.environ, "OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
+ENVIRONMENT = dict(os.environ)
 
 
 @pytest.fixture(scope="module")
@@ -227,7 +227,7 @@ def test_a_name_that_is_no_utf8_is_refused_before_the_work(good, tmp_path, capfd
 @pytest.mark.slow
 def test_a_damaged_or_unwritable_cache_is_passed_over(tmp_path):
     """In a process of its own: the kernels of this one are compiled."""
-    kernel = "@njit(cache=True)\ndef double(x):\n    return 2 * x\nprint(double(21))\n"
+    kernel = "@njit\ndef double(x):\n    return 2 * x\nprint(double(21))\n"
     (tmp_path / "k.py").write_text(f"from vntoolkit.native import njit\n{kernel}")
     cache = {"PYTHONPATH": os.pathsep.join(sys.path), "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
     environment = ENVIRONMENT | cache

@@ -137,9 +137,7 @@ def _check_libraries(console: Console) -> int:
     with console.status("importing every library"), ThreadPoolExecutor(max_workers=2) as pool:
         trials = list(pool.map(_try, programs))
     lines = []
-    missing = libraries.missing_libraries(
-        {**libraries.OPEN3D_LIBRARIES, **libraries.PYMESHLAB_LIBRARIES, **libraries.NUMBA_LIBRARIES}
-    )
+    missing = libraries.missing_libraries({**libraries.OPEN3D_LIBRARIES, **libraries.PYMESHLAB_LIBRARIES})
     for (name, _, purpose), trial in zip(_LIBRARIES, trials, strict=False):
         shown, its_version = _installed(name)
         table.add_row(shown, "[red]no" if trial.fault else "yes", its_version, purpose)

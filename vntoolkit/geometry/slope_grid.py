@@ -11,7 +11,6 @@ slope s, sᵀ A s − 2 sᵀ t, and a weight says how far a quadrant belongs to 
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import prange
 
 from vntoolkit.arrays import ByteArray, Float32Array, Mask
 from vntoolkit.geometry.camera import Camera
@@ -42,14 +41,14 @@ def ray_grid(camera: Camera | None) -> RayGrid:
     return RayGrid(*(np.float32(value) for value in values))
 
 
-@njit(cache=True, forceinline=True, error_model="numpy")
+@njit(forceinline=True)
 def ray_at(rays: RayGrid, v: int, u: int) -> tuple[Any, Any]:
     """Return (x, y) of the pixel's ray at depth 1."""
     x = (np.float32(u) - rays.centre_u) * rays.per_pixel_u
     return x, (np.float32(v) - rays.centre_v) * rays.per_pixel_v
 
 
-@njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
+@njit
 def weights_kernel(
     quadratics: Grid, labels: Labels, mask: Mask, slopes: Grid, depth: Grid, robust_scale: Any,
     shadow_robust_scale: Any, out: Grid,
@@ -61,7 +60,7 @@ def weights_kernel(
     three lights and shadow_robust_scale under two. Other pixels take what they are given.
     """
     h, w = labels.shape
-    for v in prange(h):
+    for v in range(h):
         soft, label = np.empty(w, np.float32), labels[v]
         a00, a01, a11 = quadratics[0, v], quadratics[1, v], quadratics[2, v]
         b0, b1, c = quadratics[3, v], quadratics[4, v], quadratics[5, v]
@@ -86,7 +85,7 @@ def weights_kernel(
             )  # fmt: skip
 
 
-@njit(cache=True, fastmath=True, error_model="numpy")
+@njit
 def _quadrant_row(
     depth: Grid, beside: Grid, below: Grid, mask: Mask, mask_beside: Mask, mask_below: Mask, p: Grid,
     q: Grid, a00: Grid, a01: Grid, a11: Grid, b0: Grid, b1: Grid, c: Grid, soft: Grid, right: Any, down: Any,
@@ -103,18 +102,18 @@ def _quadrant_row(
         out[u] = weight * weight if inside else zero
 
 
-@njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
+@njit
 def edges_kernel(quadratics: Grid, targets: Grid, weights: Grid, edges: Grid, right: Grid) -> None:
     """Sum all quadrants' quadratics into the edges (4, h, w) of a graph Laplacian and its right-hand side.
 
     With σ = ±1 the sign of the quadrant, 2 σ A01 d_u d_v = σ A01 (d_u² + d_v² − (d_u − d_v)²): every term is
     a squared difference between two pixels.
     """
-    for v in prange(len(right)):
-        _edges_row(quadratics, targets, weights, np.int64(v), edges, right[v])
+    for v in range(len(right)):
+        _edges_row(quadratics, targets, weights, v, edges, right[v])
 
 
-@njit(cache=True, fastmath=True, error_model="numpy")
+@njit
 def _edges_row(quadratics: Grid, targets: Grid, weights: Grid, v: int, edges: Grid, right: Grid) -> None:
     _, h, w = edges.shape
     last, quarter, zero = w - 1, np.float32(0.25), np.float32(0.0)
@@ -154,7 +153,7 @@ def _edges_row(quadratics: Grid, targets: Grid, weights: Grid, v: int, edges: Gr
             south_west[u] = -quarter * (q0[u] * a01[u] + m3[u] * m01[u])
 
 
-@njit(cache=True, fastmath=True, error_model="numpy")
+@njit
 def slopes_kernel(depth: Grid, weights: Grid, steepest: Any, slopes: Grid, agreement: Grid) -> None:
     """Replace slopes (2, h, w) by the weighted mean over the quadrants; agreement (h, w) = mean weight.
 
@@ -163,7 +162,8 @@ def slopes_kernel(depth: Grid, weights: Grid, steepest: Any, slopes: Grid, agree
     h, w = depth.shape
     for v in range(h):
         row = np.zeros(w + 2, np.float32)
-        row[1 : w + 1] = depth[v]
+        for u in range(w):
+            row[u + 1] = depth[v, u]
         above, below = depth[max(v - 1, 0)], depth[min(v + 1, h - 1)]
         _slope_row(
             row[:w], row[1 : w + 1], row[2:], above, below, weights[0, v], weights[1, v], weights[2, v],
@@ -171,7 +171,7 @@ def slopes_kernel(depth: Grid, weights: Grid, steepest: Any, slopes: Grid, agree
         )  # fmt: skip
 
 
-@njit(cache=True, fastmath=True, error_model="numpy")
+@njit
 def _slope_row(
     left: Grid, here: Grid, right: Grid, above: Grid, below: Grid, q0: Grid, q1: Grid, q2: Grid, q3: Grid,
     steepest: Any, slope_p: Grid, slope_q: Grid, agreement: Grid,

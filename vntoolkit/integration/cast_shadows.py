@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import prange
 
 from vntoolkit.arrays import (
     BoolArray,
@@ -124,7 +123,7 @@ def steps_from_shadows(
     )
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@njit
 def _cast_upon(
     labels: Any, bit: Any, normals: Any, mask: Any, lamp: Any, affine: Any, perspective: Any
 ) -> Any:
@@ -136,7 +135,7 @@ def _cast_upon(
     """
     h, w = mask.shape
     out = np.zeros((h, w), np.bool_)
-    for v in prange(h):
+    for v in range(h):
         for u in range(w):
             if not mask[v, u] or labels[v, u] & bit:
                 continue
@@ -161,7 +160,7 @@ def _cast_upon(
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@njit
 def _rims(labels: Any, bit: Any, mask: Any, under: Any) -> Any:
     """Return (n, 4): row and column of pixels that a shadow is cast upon, and of neighbours where none is."""
     h, w = mask.shape
@@ -181,7 +180,7 @@ def _rims(labels: Any, bit: Any, mask: Any, under: Any) -> Any:
     return found[:count]
 
 
-@njit(cache=True, error_model="numpy")
+@njit
 def _steps(
     rims: Any, lamps: Any, labels: Any, bit: Any, under: Any, normals: Any, mask: Any,
     deviation: Any, affine: Any, perspective: Any,
@@ -197,7 +196,7 @@ def _steps(
     return steps, variances
 
 
-@njit(cache=True, forceinline=True)
+@njit(forceinline=True)
 def _is_inside(mask: Any, v: int, u: int) -> Any:
     """Whether a place is not beside the outline."""
     d = _OUTLINE_PX
@@ -206,23 +205,23 @@ def _is_inside(mask: Any, v: int, u: int) -> Any:
     return mask[v, u] and mask[v - d, u] and mask[v + d, u] and mask[v, u - d] and mask[v, u + d]
 
 
-@njit(cache=True, forceinline=True)
+@njit(forceinline=True)
 def _nearest(place: Any) -> Any:
     return int(np.floor(place + np.float32(0.5)))
 
 
-@njit(cache=True, forceinline=True, error_model="numpy")
+@njit(forceinline=True)
 def _cosine(normals: Any, lamp: Any, v: int, u: int) -> Any:
     return normals[v, u, 0] * lamp[0] + normals[v, u, 1] * lamp[1] + normals[v, u, 2] * lamp[2]
 
 
-@njit(cache=True, forceinline=True, error_model="numpy")
+@njit(forceinline=True)
 def _is_dark(labels: Any, bit: Any, mask: Any, v: int, u: int) -> Any:
     """Whether a place lies in the mask and in the lamp's shadow."""
     return 0 <= v < len(mask) and 0 <= u < mask.shape[1] and mask[v, u] and not labels[v, u] & bit
 
 
-@njit(cache=True, forceinline=True, error_model="numpy")
+@njit(forceinline=True)
 def _way(affine: Any, perspective: Any, lamp: Any, v: int, u: int) -> tuple[Any, Any, Any, Any]:
     """Return the step towards the lamp, along u and v, of one column or row; its length in pixels; and by how
     much the ray to the lamp comes towards the camera per pixel, 0 where it does not cross the picture.
@@ -237,7 +236,7 @@ def _way(affine: Any, perspective: Any, lamp: Any, v: int, u: int) -> tuple[Any,
     return along_u / most, along_v / most, length / most, max(-lamp[2] / length, np.float32(0.0))
 
 
-@njit(cache=True, error_model="numpy")
+@njit
 def _step(
     labels: Any, bit: Any, under: Any, normals: Any, mask: Any, lamp: Any, deviation: Any,
     affine: Any, perspective: Any, v: int, u: int, y: int, x: int,
@@ -282,7 +281,7 @@ def _step(
     return best, variance
 
 
-@njit(cache=True, error_model="numpy")
+@njit
 def _slope(
     normals: Any, affine: Any, perspective: Any, v: int, u: int, step_u: Any, step_v: Any
 ) -> Any:  # fmt: skip
@@ -295,7 +294,7 @@ def _slope(
     return along / max(facing, abs(along) / _STEEPEST, np.float32(1e-6))
 
 
-@njit(cache=True, error_model="numpy")
+@njit
 def _along_light(
     labels: Any, bit: Any, mask: Any, v: int, u: int, y: int, x: int, step_u: Any, step_v: Any
 ) -> Any:

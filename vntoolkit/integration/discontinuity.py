@@ -21,7 +21,6 @@ import math
 from dataclasses import dataclass
 from functools import cached_property
 
-import numba
 import numpy as np
 
 from vntoolkit.arrays import Float32Array, FloatArray, Mask
@@ -66,24 +65,20 @@ class SlopeErrors:
 
     @cached_property
     def variance(self) -> Float32Array:
-        """(2, h, w), in pixels², of the differences to the right, and down; 0 where there is none."""
-        return self._variance(1)
-
-    def _variance(self, every: int) -> Float32Array:
-        """Return the variance for every n-th row of the former and column of the latter; the rest stays 0.
+        """(2, h, w), in pixels², of the differences to the right, and down; 0 where there is none.
 
         A turn of a normal by an angle ε moves its slope by ε / cos² of its inclination: grazing ends make an
         edge unsure. So does a bend, as far as the two ends disagree on the slope (`_BEND`). An edge is as bad
         as the better of its two squares of 2×2 pixels: where depth jumps by an amount that changes along the
         way, the circulation is large on both sides of every edge that crosses the jump.
         """
-        turns = np.full((-(-len(self.p) // every), self.p.shape[1]), np.float32(-1))
-        _normalised_turns(self.p, self.q, self.inside, every, turns)
-        known = turns[turns >= 0]
-        noise = max(deviation_of(known) if known.size else 0.0, _LEAST_NOISE)
-        out = np.zeros((2, *self.p.shape), np.float32)
-        error = np.zeros((0, 0), np.float32) if self.error_deg is None else self.error_deg
-        _variances(self.p, self.q, self.inside, error, np.float32(noise**2), every, out)
+        height, width = self.p.shape
+        out = np.zeros((2, height, width), np.float32)
+        turn = np.full((height + 1, width + 1), np.float32(np.inf))
+        _circulations(self.p, self.q, self.inside, turn)
+        _spreads(self.p, self.q, self.inside, out)
+        error = np.zeros_like(self.p) if self.error_deg is None else self.error_deg
+        _variances(out, turn, error, np.float32(_noise(turn[1:-1, 1:-1], out) ** 2))
         if self.of_steps is not None:
             out += np.where(out > 0, self.of_steps, np.float32(0))
         return out
@@ -94,14 +89,14 @@ class SlopeErrors:
         Only a part of the edges is looked at, and its wanted differences are mean slopes.
         """
         every = 1 + int(np.count_nonzero(self.inside)) // _LOOKED_AT_PX
-        variance, normalised = self._variance(every), []
+        normalised = []
         for axis, slopes in enumerate((self.p, self.q)):
             lines = np.s_[:, ::every] if axis else np.s_[::every]
             residual = np.diff(depth[lines], axis=1 - axis)
             ends = np.s_[:-1] if axis else np.s_[:, :-1]
             first, last = slopes[lines][ends], slopes[lines][1:] if axis else slopes[lines][:, 1:]
             residual -= 0.5 * (first + last)
-            spread = variance[axis][lines][ends]
+            spread = self.variance[axis][lines][ends]
             at = spread > 0
             normalised.append(np.abs(residual[at]) / np.sqrt(spread[at]))
         return are_explained(np.concatenate(normalised))
@@ -173,10 +168,10 @@ def deviation_of(residuals: Float32Array) -> float:
     return MEDIAN_TO_DEVIATION * float(np.median(some[:: 1 + len(some) // _VOTES])) if len(some) else 0.0
 
 
-@njit(cache=True, parallel=True)
+@njit
 def _normalised(depth, difference, variance, out):  # type: ignore[no-untyped-def]
     height, width = depth.shape
-    for v in numba.prange(height):
+    for v in range(height):
         for k in range(2):
             y, end = v + k, width - 1 + k
             for u in range(width):
@@ -188,7 +183,7 @@ def _normalised(depth, difference, variance, out):  # type: ignore[no-untyped-de
                     out[k, v, u] = np.float32(-1.0)
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@njit
 def _reweigh(depth, difference, variance, scale, missing, weight):  # type: ignore[no-untyped-def]
     """Fill (2, h, w) with what edges still want, and with their weights: inverse variances, less where cut.
 
@@ -202,7 +197,7 @@ def _reweigh(depth, difference, variance, scale, missing, weight):  # type: igno
             for u in range(width):
                 if variance[k, v, u] > 0:
                     smallest = min(smallest, variance[k, v, u])
-    for v in numba.prange(height):
+    for v in range(height):
         for k in range(2):
             y = v + k
             if y >= height:
@@ -221,60 +216,59 @@ def _reweigh(depth, difference, variance, scale, missing, weight):  # type: igno
                 weight[k, v, u] = max(kept * kept, least) * smallest / spread
 
 
-@njit(cache=True, inline="always")
-def _spread(p, q, v, u, y, x, bend):  # type: ignore[no-untyped-def]
-    """Variance of the difference between two pixels, relative to that of normals that face the camera."""
-    one = np.float32(1.0) + p[v, u] * p[v, u] + q[v, u] * q[v, u]
-    two = np.float32(1.0) + p[y, x] * p[y, x] + q[y, x] * q[y, x]
-    return np.float32(0.5) * (one * one + two * two) + np.float32(_BEND * _BEND) * bend * bend
-
-
-@njit(cache=True, inline="always")
-def _turn(p, q, inside, v, u):  # type: ignore[no-untyped-def]
-    """Return the size of the circulation around 2×2 pixels from a pixel on; infinite beyond the border."""
+@njit
+def _circulations(p, q, inside, out):  # type: ignore[no-untyped-def]
+    """Fill (h + 1, w + 1) within its border: sizes of the circulation around 2×2 pixels inside."""
     height, width = inside.shape
-    if v < 0 or u < 0 or v + 1 >= height or u + 1 >= width:
-        return np.float32(np.inf)
-    if not (inside[v, u] and inside[v, u + 1] and inside[v + 1, u] and inside[v + 1, u + 1]):
-        return np.float32(np.inf)
-    along = p[v, u] + p[v, u + 1] - p[v + 1, u] - p[v + 1, u + 1]
-    return np.float32(0.5) * abs(along + q[v, u + 1] + q[v + 1, u + 1] - q[v, u] - q[v + 1, u])
+    for v in range(height - 1):
+        for u in range(width - 1):
+            along = p[v, u] + p[v, u + 1] - p[v + 1, u] - p[v + 1, u + 1]
+            turn = np.float32(0.5) * abs(along + q[v, u + 1] + q[v + 1, u + 1] - q[v, u] - q[v + 1, u])
+            is_square = inside[v, u] & inside[v, u + 1] & inside[v + 1, u] & inside[v + 1, u + 1]
+            out[v + 1, u + 1] = turn if is_square else np.float32(np.inf)
 
 
-@njit(cache=True, parallel=True)
-def _normalised_turns(p, q, inside, every, out):  # type: ignore[no-untyped-def]
-    """Fill (⌈h / every⌉, w): circulations over their deviations at noise 1, where they are known."""
-    for row in numba.prange(out.shape[0]):
-        v = row * every
-        for u in range(out.shape[1]):
-            turn = _turn(p, q, inside, v, u)
-            if turn < np.inf:
-                spread = _spread(p, q, v, u, v, u + 1, p[v, u + 1] - p[v, u])
-                spread += _spread(p, q, v + 1, u, v + 1, u + 1, p[v + 1, u + 1] - p[v + 1, u])
-                spread += _spread(p, q, v, u, v + 1, u, q[v + 1, u] - q[v, u])
-                spread += _spread(p, q, v, u + 1, v + 1, u + 1, q[v + 1, u + 1] - q[v, u + 1])
-                out[row, u] = turn / np.sqrt(spread)
-
-
-@njit(cache=True, parallel=True)
-def _variances(p, q, inside, error_deg, noise, every, out):  # type: ignore[no-untyped-def]
+@njit
+def _spreads(p, q, inside, out):  # type: ignore[no-untyped-def]
+    """Fill (2, h, w): variances of differences over those where normals face the camera; 0 for none."""
     height, width = inside.shape
-    for v in numba.prange(height):
-        for k in range(2):
-            if k == 0 and v % every:
-                continue
+    one, half, bent = np.float32(1.0), np.float32(0.5), np.float32(_BEND * _BEND)
+    for k in range(2):
+        slope = q if k else p
+        for v in range(height - k):
             y = v + k
-            for u in range(0, width, every if k else 1):
+            for u in range(width - 1 + k):
                 x = u + 1 - k
-                if y >= height or x >= width or not (inside[v, u] and inside[y, x]):
-                    continue
-                bend = p[y, x] - p[v, u] if k == 0 else q[y, x] - q[v, u]
-                spread = _spread(p, q, v, u, y, x, bend)
-                better = min(_turn(p, q, inside, v, u), _turn(p, q, inside, v - 1 + k, u - k))
-                found = noise * spread
-                if better < np.inf:
-                    found += np.float32(0.0625) * better * better
-                if error_deg.size:
-                    stated = error_deg[v, u] * error_deg[v, u] + error_deg[y, x] * error_deg[y, x]
-                    found = max(found, np.float32(0.5 * _PER_NORMAL**2) * stated * spread)
-                out[k, v, u] = found
+                first = one + p[v, u] * p[v, u] + q[v, u] * q[v, u]
+                last = one + p[y, x] * p[y, x] + q[y, x] * q[y, x]
+                bend = slope[y, x] - slope[v, u]
+                spread = half * (first * first + last * last) + bent * bend * bend
+                out[k, v, u] = spread if inside[v, u] & inside[y, x] else np.float32(0.0)
+
+
+def _noise(turn: Float32Array, spread: Float32Array) -> float:
+    """Return the deviation of a facing edge's difference by the circulations (h - 1, w - 1)."""
+    every = 1 + int(math.sqrt(turn.size / _VOTES))
+    some = np.s_[::every, ::every]
+    right, down = spread
+    around = right[:-1, :-1][some] + right[1:, :-1][some] + down[:-1, :-1][some] + down[:-1, 1:][some]
+    is_known = turn[some] < np.inf
+    return max(deviation_of(turn[some][is_known] / np.sqrt(around[is_known])), _LEAST_NOISE)
+
+
+@njit
+def _variances(spread, turn, error_deg, noise):  # type: ignore[no-untyped-def]
+    """Turn relative variances (2, h, w) into those in pixels². noise: that of a facing edge."""
+    height, width = error_deg.shape
+    by_normals = np.float32(0.5 * _PER_NORMAL**2)
+    for k in range(2):
+        for v in range(height - k):
+            y = v + k
+            for u in range(width - 1 + k):
+                x = u + 1 - k
+                better = min(turn[v + 1, u + 1], turn[v + k, u + 1 - k])
+                stated = error_deg[v, u] * error_deg[v, u] + error_deg[y, x] * error_deg[y, x]
+                found = noise * spread[k, v, u]
+                found += np.float32(0.0625) * better * better if better < np.inf else np.float32(0.0)
+                found = max(found, by_normals * stated * spread[k, v, u])
+                spread[k, v, u] = found if spread[k, v, u] > 0 else np.float32(0.0)

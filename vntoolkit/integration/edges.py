@@ -49,7 +49,7 @@ def edges_from_slopes(
     return EdgeField(difference=difference, weight=worth)
 
 
-@njit(cache=True, inline="always")
+@njit(forceinline=True)
 def _difference(a, b, c, d, a_in, d_in):  # type: ignore[no-untyped-def]
     """Integral from the second to the third of four slopes, of which the outer two may be missing."""
     if a_in and d_in:
@@ -61,13 +61,13 @@ def _difference(a, b, c, d, a_in, d_in):  # type: ignore[no-untyped-def]
     return np.float32(0.5) * (b + c)
 
 
-@njit(cache=True, inline="always")
+@njit(forceinline=True)
 def _one_sided(a, b, c, d):  # type: ignore[no-untyped-def]
     """Integral from the first to the second of four slopes."""
     return (np.float32(9.0) * a + np.float32(19.0) * b - np.float32(5.0) * c + d) * _C
 
 
-@njit(cache=True)
+@njit
 def _edges_along_rows(p, weights, difference, weight):  # type: ignore[no-untyped-def]
     height, width = p.shape
     for v in range(height):
@@ -88,7 +88,7 @@ def _edges_along_rows(p, weights, difference, weight):  # type: ignore[no-untype
                 difference[v, u] = _difference(first, p[v, u], p[v, u + 1], last, before, after)
 
 
-@njit(cache=True)
+@njit
 def _edges_along_columns(q, weights, difference, weight):  # type: ignore[no-untyped-def]
     height, width = q.shape
     for v in range(height - 1):

@@ -12,7 +12,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numba import prange
 from scipy import ndimage
 from scipy.linalg import solveh_banded
 
@@ -33,7 +32,6 @@ _LEAST_FACING = 0.15
 _LEAST_WEIGHT = 1e-3
 _PER_NORMAL = 1.0 / NINE_OF_TEN_IN_PLANE  # standard deviation of a direction over the bound of nine of ten
 _OF_SCENES = 1.2  # standard deviations that hold nine of ten pixels of the package's own scenes
-_FARTHEST = np.float32(3e38)
 _TURNS = 9  # entries of ΔM
 _HOLD = 1e-9  # holds the constant that every component leaves free, before its mean is removed
 
@@ -49,11 +47,10 @@ def with_expected_depth_error(depth_map: DepthMap, normal_map: NormalMap, camera
     if normal_map.error_deg is None:
         raise BadInput("normals: their expected error is not known, so that of the depth is not either")
     mask = np.ascontiguousarray(depth_map.mask & normal_map.mask)
-    span = float(_range(np.ascontiguousarray(depth_map.depth), mask, max(1, len(mask) // _ROWS)))
-    error = np.empty(depth_map.shape, np.float32)
-    if not span > 0:
-        error[:] = 0.0
-    else:
+    some = np.s_[:: max(1, len(mask) // _ROWS)]
+    found = depth_map.depth[some][mask[some]]
+    error = np.zeros(depth_map.shape, np.float32)
+    if found.size and (span := float(np.ptp(found))) > 0:
         spread, block = _spread_of(normal_map, mask, rays_from_camera(camera))
         scale = np.ascontiguousarray(depth_map.depth) if camera.is_perspective else None
         _enlarge(spread * np.float32(100.0 * _OF_SCENES / span), block, mask, scale, error)
@@ -109,19 +106,6 @@ def _filled(spread: FloatArray, inside: Mask) -> FloatArray:
         return np.where(inside, spread, 0.0)
     nearest = ndimage.distance_transform_edt(~inside, return_distances=False, return_indices=True)
     return np.asarray(spread[tuple(nearest)])
-
-
-@njit(cache=True, fastmath=True, error_model="numpy")
-def _range(depth: Any, mask: Mask, step: int) -> float:
-    """Return the largest depth less the least, over every `step`-th row; below 0 where none is valid."""
-    width = mask.shape[1]
-    least, most = np.full(width, _FARTHEST, depth.dtype), np.full(width, -_FARTHEST, depth.dtype)
-    for v in range(0, mask.shape[0], step):
-        row, inside = depth[v], mask[v]
-        for u in range(width):  # column by column and without a branch: eight at a time
-            least[u] = min(least[u], row[u] if inside[u] else least[u])
-            most[u] = max(most[u], row[u] if inside[u] else most[u])
-    return float(most.max() - least.min())
 
 
 def _depth_of_turns(
@@ -182,7 +166,7 @@ def _integrated(right: FloatArray, down: FloatArray, trust: FloatArray) -> Float
     return np.asarray(solved).reshape(right.shape)
 
 
-@njit(cache=True)
+@njit
 def _sum_blocks(
     normals: Any, error: Any, noise_deg: Any, weight: Any, mask: Mask, block: int, step: int, sums: Any
 ) -> None:
@@ -204,7 +188,7 @@ def _sum_blocks(
                     to[6] += weight[v, u]
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@njit
 def _enlarge(coarse: Any, block: int, mask: Mask, scale: Any, out: Any) -> None:
     """Fill (h, w) between centres of blocks linearly; 0 outside the mask. scale: (h, w) factors, or None."""
     height, width = mask.shape
@@ -212,7 +196,7 @@ def _enlarge(coarse: Any, block: int, mask: Mask, scale: Any, out: Any) -> None:
     half, one, zero = np.float32(0.5), np.float32(1.0), np.float32(0.0)
     per_pixel = one / np.float32(block)
     beyond = half * np.float32(1 - block % 2)  # from the centre of block k - 1 to the first pixel
-    for v in prange(height):
+    for v in range(height):
         y = min(max((np.float32(v) + half) * per_pixel - half, zero), np.float32(rows - 1))
         up = int(y)
         down, t = min(up + 1, rows - 1), y - np.float32(up)

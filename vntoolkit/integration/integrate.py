@@ -4,7 +4,6 @@ import logging
 from dataclasses import replace
 from functools import cached_property
 
-import numba
 import numpy as np
 from scipy import ndimage
 
@@ -338,14 +337,14 @@ def divergence_from_slopes(p: Float32Array, q: Float32Array) -> Float32Array:
     return divergence
 
 
-@njit(cache=True, fastmath=True, parallel=True)
+@njit
 def _divergence(p, q, out):  # type: ignore[no-untyped-def]
     height, width = p.shape
     k = np.float32(1.0 / 24.0)
     c14, c9, c19, c13, c5 = (
         np.float32(14.0), np.float32(9.0), np.float32(19.0), np.float32(13.0), np.float32(5.0),
     )  # fmt: skip
-    for v in numba.prange(height):
+    for v in range(height):
         row = p[v]
         to = out[v]
         inner, before, after, after2 = to[2:], row[1:], row[3:], row[4:]

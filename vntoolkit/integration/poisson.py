@@ -9,7 +9,6 @@ transform is that mirrored Fourier transform without the copies.
 from functools import cached_property
 from typing import Protocol
 
-import numba
 import numpy as np
 import scipy.fft
 
@@ -18,9 +17,6 @@ from vntoolkit.errors import SolverFailed
 from vntoolkit.integration.edges import EdgeField
 from vntoolkit.native import njit
 from vntoolkit.solvers import GridHierarchy, grid_hierarchy, multigrid_cycle
-
-_MOST_WORKERS = 2  # more wait for each other at this size
-_LEAST_SHARED_PX = 200_000  # a smaller transform is done before a second thread has woken
 
 
 class RectangleSolver(Protocol):
@@ -49,25 +45,25 @@ class CosineSolver:
     def solve(self, divergence: FloatArray) -> FloatArray:
         """Return z, (h, w), of mean 0; a `divergence` of the solver's dtype is overwritten."""
         field = divergence.astype(self._dtype, copy=False)
-        spectrum = scipy.fft.dct(field, type=2, norm="ortho", workers=_workers(field.size), overwrite_x=True)
+        spectrum = scipy.fft.dct(field, type=2, norm="ortho", workers=1, overwrite_x=True)
         spectrum[:, 0] -= spectrum[:, 0].mean(dtype=np.float64)
         _solve_columns(spectrum, self._pivots)
         spectrum[:, 0] -= spectrum[:, 0].mean(dtype=np.float64)
-        return scipy.fft.idct(spectrum, type=2, norm="ortho", workers=_workers(field.size), overwrite_x=True)
+        return scipy.fft.idct(spectrum, type=2, norm="ortho", workers=1, overwrite_x=True)
 
 
 _COLUMNS = 64  # taken together: their rows stay in the cache
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@njit
 def _solve_columns(spectrum, pivots):  # type: ignore[no-untyped-def]
     """Elimination down every column and substitution back up, in place; in double precision throughout.
 
     The lowest frequencies lose in each row what single precision rounds off, and there are many rows.
     """
     height, width = spectrum.shape
-    for stripe in numba.prange((width + _COLUMNS - 1) // _COLUMNS):
-        first = np.int64(stripe) * _COLUMNS
+    for stripe in range((width + _COLUMNS - 1) // _COLUMNS):
+        first = stripe * _COLUMNS
         last = min(first + _COLUMNS, width)
         rows, row = np.empty((height, last - first)), np.zeros(last - first)
         for v in range(height):
@@ -104,15 +100,10 @@ class FourierSolver:
         field = divergence.astype(self._inverse.dtype)
         field = np.concatenate([field, field[::-1]], axis=0)
         field = np.concatenate([field, field[:, ::-1]], axis=1)
-        spectrum = scipy.fft.rfft2(field, workers=_workers(field.size))
+        spectrum = scipy.fft.rfft2(field, workers=1)
         spectrum *= self._inverse
-        depth = scipy.fft.irfft2(spectrum, s=field.shape, workers=_workers(field.size), overwrite_x=True)
+        depth = scipy.fft.irfft2(spectrum, s=field.shape, workers=1, overwrite_x=True)
         return np.ascontiguousarray(depth[:height, :width])
-
-
-def _workers(pixels: int) -> int:
-    """Threads of a transform; no more than compiled loops may use, so that one limit rules both."""
-    return min(_MOST_WORKERS, numba.get_num_threads()) if pixels >= _LEAST_SHARED_PX else 1
 
 
 def laplacian_eigenvalues(length: int, count: int | None = None) -> Float64Array:
@@ -266,7 +257,7 @@ def _levels_of(right: Array, down: Array) -> GridHierarchy:
 # Compiled loops over images with a rim of zeros. Sums are kept by rows: the same for any number of threads.
 
 
-@njit(cache=True, fastmath=True)
+@njit
 def _load(right, down, right_weight, down_weight, out):  # type: ignore[no-untyped-def]
     """Right-hand side: the weighted divergence of the wanted differences, with the sign of A z = b."""
     height, width = out.shape
@@ -280,11 +271,11 @@ def _load(right, down, right_weight, down_weight, out):  # type: ignore[no-untyp
             )
 
 
-@njit(cache=True, fastmath=True, parallel=True)
+@njit
 def _apply(right, down, x, out, sums):  # type: ignore[no-untyped-def]
     """out = A x; sums (h,): x · A x of each row."""
     height, width = x.shape
-    for v in numba.prange(1, height - 1):
+    for v in range(1, height - 1):
         here, west, east = x[v, 1 : width - 1], x[v], x[v, 2:]
         above, below, to = x[v - 1, 1 : width - 1], x[v + 1, 1 : width - 1], out[v, 1 : width - 1]
         to_west, to_east = right[v], right[v, 1 : width - 1]
@@ -301,7 +292,7 @@ def _apply(right, down, x, out, sums):  # type: ignore[no-untyped-def]
         sums[v] = total
 
 
-@njit(cache=True, fastmath=True)
+@njit
 def _largest(padded):  # type: ignore[no-untyped-def]
     largest = 0.0
     for v in range(padded.shape[0]):
@@ -310,11 +301,11 @@ def _largest(padded):  # type: ignore[no-untyped-def]
     return largest
 
 
-@njit(cache=True, fastmath=True, parallel=True)
+@njit
 def _update(depth, residual, direction, product, step, depth_step, scaled):  # type: ignore[no-untyped-def]
     """Take a step along the direction; fill scaled (h, w), float32, with what is left."""
     height, width = scaled.shape
-    for v in numba.prange(height):
+    for v in range(height):
         z, left, to = depth[v + 1, 1 : width + 1], residual[v + 1, 1 : width + 1], scaled[v]
         way, image = direction[v + 1, 1 : width + 1], product[v + 1, 1 : width + 1]
         for u in range(width):
@@ -323,7 +314,7 @@ def _update(depth, residual, direction, product, step, depth_step, scaled):  # t
             to[u] = left[u]
 
 
-@njit(cache=True, fastmath=True)
+@njit
 def _dot(padded, inner, sums):  # type: ignore[no-untyped-def]
     height, width = inner.shape
     for v in range(height):
@@ -333,7 +324,7 @@ def _dot(padded, inner, sums):  # type: ignore[no-untyped-def]
         sums[v + 1] = total
 
 
-@njit(cache=True, fastmath=True)
+@njit
 def _advance(direction, correction, factor):  # type: ignore[no-untyped-def]
     height, width = correction.shape
     for v in range(height):

@@ -8,7 +8,6 @@ perspective case as linear as the other (Durou, Aujol and Courteille 2009, `duro
 
 from dataclasses import dataclass, replace
 
-import numba
 import numpy as np
 
 from vntoolkit.arrays import Float32Array, FloatArray, Normals
@@ -85,13 +84,13 @@ def slopes_from_normals(
     return p, q
 
 
-@njit(cache=True, fastmath=True, parallel=True)
+@njit
 def _slopes_affine(normals, affine, perspective, least_facing, p, q):  # type: ignore[no-untyped-def]
     height, width = p.shape
     x_u, x_v, x_0 = affine[0], affine[1], affine[2]
     y_u, y_v, y_0 = affine[3], affine[4], affine[5]
     one = np.float32(1.0)
-    for v in numba.prange(height):
+    for v in range(height):
         line, to_p, to_q = normals[v], p[v], q[v]
         for u in range(width):
             nx, ny, nz = line[3 * u], line[3 * u + 1], line[3 * u + 2]
@@ -104,11 +103,11 @@ def _slopes_affine(normals, affine, perspective, least_facing, p, q):  # type: i
             to_q[u] = (nx * x_v + ny * y_v) * inverse
 
 
-@njit(cache=True, fastmath=True, parallel=True)
+@njit
 def _slopes_table(normals, table, least_facing, p, q):  # type: ignore[no-untyped-def]
     height, width = p.shape
     one = np.float32(1.0)
-    for v in numba.prange(height):
+    for v in range(height):
         for u in range(width):
             nx, ny, nz = normals[v, u, 0], normals[v, u, 1], normals[v, u, 2]
             x, y = table[v, u, 0], table[v, u, 1]

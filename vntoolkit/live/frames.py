@@ -15,7 +15,6 @@ from vntoolkit.geometry.rectification import Rectification
 from vntoolkit.integration.integrate import DepthAnchor, DepthIntegrator
 from vntoolkit.io.footage.decoding import EncodedFrame, linear_frame_from_encoded, rectify_frame
 from vntoolkit.io.footage.mattes import PlateKey
-from vntoolkit.native import loops_may_overlap
 from vntoolkit.options.normals import ShadowMethod
 from vntoolkit.options.reconstruction import MaterialSearch, Product, ReconstructOptions
 from vntoolkit.photometry.rig import Rig
@@ -121,8 +120,8 @@ class LiveProcessor:
         self._processor = FrameProcessor(read, reconstruction, mask, subtracted, with_errors=False)
         self._darkest = reconstruction.inversion.darkest
         self._recent: deque[float] = deque(maxlen=_RECENT)
-        overlap = self._processor.finds_shadows and self._key is None and loops_may_overlap()
-        self.lanes = 2 if overlap else 1  # frames that `begin` may work on at a time
+        takes_long = self._processor.finds_shadows and self._key is None
+        self.lanes = 2 if takes_long else 1  # frames that `begin` may work on at a time
         self._step = max(1, -(-max(self.camera.width, self.camera.height) // depth_px))
         height, width = (n // self._step * self._step for n in (self.camera.height, self.camera.width))
         self.depth_camera = self.camera.cropped(slice(0, height), slice(0, width)).scaled(1 / self._step)
@@ -163,7 +162,7 @@ class LiveProcessor:
     def _require_subject(self, frame: EncodedFrame, matte: Mask | None) -> None:
         """Raise `NoSubject` for a frame that is far darker than recent ones, or than the rig's material."""
         albedo = self._processor.albedo_in(frame, matte, 1.0)
-        usual = float(np.median(self._recent or [0.0]))
+        usual = float(np.median(list(self._recent) or [0.0]))
         self._recent.extend([] if albedo is None else [albedo])
         if albedo is None or albedo < self._darkest * usual:
             raise NoSubject(f"{frame.name}: no subject in sight: it is black, or far darker than before")

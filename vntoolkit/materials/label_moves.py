@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numba import prange
 
 from vntoolkit.arrays import Float32Array, FloatArray, Mask, MaterialLabels, Points
 from vntoolkit.materials.mixtures import (
@@ -160,7 +159,7 @@ def _variance_of_steps(s: FloatArray, lit: Mask, lamps: Lamps, labels: MaterialL
     return float(max((MEDIAN_TO_DEVIATION**2 * steps**2).mean(), _LEAST_STEP**2))
 
 
-@njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
+@njit
 def _move(
     labels: Any, lit: Any, active: Any, s: Any, mean: Any, shade: Any, rho: Any, weights: Any, ambient: Any,
     inverse: Any, of_lengths: Any, of_steps: Any, side: int,
@@ -180,7 +179,7 @@ def _move(
     known = ambient, inverse, of_lengths, of_steps
     changes = np.zeros(max(strips, 1), np.int64)
     for first in range(2):
-        for half in prange((strips - first + 1) // 2):
+        for half in range((strips - first + 1) // 2):
             strip = 2 * half + first
             new, new_shade = np.empty((size, size, 3), np.float32), np.empty((size, size, 3), np.float32)
             for row in range(strip * _STRIP, min((strip + 1) * _STRIP, rows)):
@@ -209,7 +208,7 @@ def _move(
     return changes.sum()
 
 
-@njit(cache=True)
+@njit
 def _labels_to_try(labels: Any, lit: Any, active: Any, v: int, u: int, side: int, count: int) -> int:
     """Return which labels a block may get, bit m for label m; 0 for none.
 
@@ -233,7 +232,7 @@ def _labels_to_try(labels: Any, lit: Any, active: Any, v: int, u: int, side: int
     return around & ~own if own & (own - 1) == 0 else around
 
 
-@njit(cache=True, fastmath=True, error_model="numpy")
+@njit
 def _mix(
     labels: Any, s: Any, mean: Any, shade: Any, rho: Any, weights: Any, v: int, u: int, side: int, m: int,
     new: Any, new_shade: Any,
@@ -258,7 +257,7 @@ def _mix(
                 new_shade[a, b, k] = np.log(s[top + a, left + b, k] / new[a, b, k])
 
 
-@njit(cache=True, fastmath=True, error_model="numpy")
+@njit
 def _price(
     lit: Any, s: Any, mean: Any, shade: Any, top: int, left: int, row: int, column: int, size: int,
     ambient: Any, inverse: Any, of_lengths: Any, of_steps: Any,
@@ -297,7 +296,7 @@ def _price(
     return _HALF_MOST * total
 
 
-@njit(cache=True)
+@njit
 def _seam(labels: Any, v: int, u: int, side: int, m: int) -> float:
     """Price of the seams along the sides of a block and in it; m: its label, −1 for those it has."""
     count = 0.0

@@ -12,7 +12,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import prange
 
 from vntoolkit.arrays import ByteArray, Float32Array, Mask, Points
 from vntoolkit.materials.mixtures import Seams, blur_weights, near_seams, reach_of_blur
@@ -49,14 +48,14 @@ def likeliest_light(
     return np.moveaxis(out, 0, 2)
 
 
-@njit(cache=True, parallel=True)
+@njit
 def _mix(labels: Any, near: Any, rho: Any, weights: Any, out: Any) -> None:
     """Fill (8, h, w): mean reflectance under the blur, three planes; from the commonest material there to the
     next, three; and the shares of these two.
     """
     h, w = labels.shape
     reach = len(weights) // 2
-    for v in prange(h):
+    for v in range(h):
         shares = np.zeros(len(rho), np.float32)
         for u in range(w):
             own = labels[v, u]
@@ -83,7 +82,7 @@ def _mix(labels: Any, near: Any, rho: Any, weights: Any, out: Any) -> None:
             out[6, v, u], out[7, v, u] = shares[first], shares[second]
 
 
-@njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
+@njit
 def _observe(
     s: Any, mixtures: Any, mask: Any, ambient: Any, inverse: Any, noise: Any, steps: Any, tolerance: Any,
     out: Any,
@@ -93,7 +92,7 @@ def _observe(
     Mean reflectances are moved along the line of the two materials mixed most, towards a normal of length 1:
     the length, itself uncertain, corrects the share (Gauss and Newton, twice).
     """
-    for v in prange(s.shape[1]):
+    for v in range(s.shape[1]):
         for u in range(s.shape[2]):
             d = mixtures[3, v, u], mixtures[4, v, u], mixtures[5, v, u]
             first, second = mixtures[6, v, u], mixtures[7, v, u]
@@ -115,7 +114,7 @@ def _observe(
             out[6, v, u] = steps / (steps + total * _THIRD) if mask[v, u] else _NONE
 
 
-@njit(cache=True, inline="always", fastmath=True, error_model="numpy")
+@njit(forceinline=True)
 def _moved(moved: Any, s: Any, mean: Any, d: Any, ambient: Any, inverse: Any, ratio: Any) -> Any:
     """Return how far along d a mean reflectance is moved, from what was found before."""
     q0, q1, q2 = (
@@ -127,7 +126,7 @@ def _moved(moved: Any, s: Any, mean: Any, d: Any, ambient: Any, inverse: Any, ra
     return slope * (slope * moved - length + _ONE) / (slope * slope + ratio)
 
 
-@njit(cache=True, inline="always", fastmath=True, error_model="numpy")
+@njit(forceinline=True)
 def _length(x0: Any, x1: Any, x2: Any, inverse: Any) -> Any:
     """Return the length of the normal L⁻¹ x, and its derivatives by x."""
     n0 = inverse[0, 0] * x0 + inverse[0, 1] * x1 + inverse[0, 2] * x2
@@ -142,7 +141,7 @@ def _length(x0: Any, x1: Any, x2: Any, inverse: Any) -> Any:
     )
 
 
-@njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
+@njit
 def _weigh(
     observed: Any, weights: Any, ambient: Any, inverse: Any, steps: Any, tolerance: Any, out: Any
 ) -> None:
@@ -152,7 +151,7 @@ def _weigh(
     """
     _, h, w = observed.shape
     reach = len(weights) // 2
-    for v in prange(h):
+    for v in range(h):
         columns = np.zeros((4, w + 2 * reach), np.float32)
         for a in range(max(v - reach, 0), min(v + reach + 1, h)):
             weight = weights[a - v + reach]

@@ -72,21 +72,21 @@ def total_cost(costs: FloatArray, labels: IntArray, logs: Points, regions: Regio
     return float(own + 0.5 * (regions.contacts @ steps))  # each step is counted from both sides
 
 
-@njit(cache=True, error_model="numpy")
+@njit
 def _agree(
     prices: Any, labels: Any, logs: Any, starts: Any, neighbours: Any, steps: Any, contacts: Any, seam: float,
     sweeps: int,
 ) -> None:  # fmt: skip
     """Give each region its label of least cost, again as long as one beside it changed."""
     n, count = prices.shape
-    total, waits = np.empty(count), np.ones(n, np.bool_)
+    waits = np.ones(n, np.bool_)
     for _ in range(sweeps):
         changed = False
         for i in range(n):
             if not waits[i]:
                 continue
             waits[i] = False
-            total[:] = prices[i]
+            total = prices[i].copy()
             for e in range(starts[i], starts[i + 1]):
                 other = labels[neighbours[e]]
                 for m in range(count):

@@ -10,7 +10,6 @@ is; the plane that fits the window's depth best tells the depth there.
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
-from numba import prange
 
 from vntoolkit.arrays import (
     Array,
@@ -305,11 +304,11 @@ _TRIANGLES_OF = {(0, 0): 0b1101, (0, 1): 0b1011, (1, 0): 0b0111, (1, 1): 0b1110}
 _BOTH = (0b0011, 0b1100)  # two of them make a quad
 
 
-@njit(cache=True, parallel=True)
+@njit
 def _triangles_kernel(mask: Mask, depth: Depth, largest: float, times_depth: bool, kept: Mask) -> None:
     """Set bit i of kept (h, w) where triangle i of `_CORNERS` spans no jump: largest + times_depth × z."""
     h, w = mask.shape
-    for v in prange(h - 1):
+    for v in range(h - 1):
         for u in range(w - 1):
             valid = (mask[v, u], mask[v, u + 1], mask[v + 1, u], mask[v + 1, u + 1])
             count = int(valid[0]) + int(valid[1]) + int(valid[2]) + int(valid[3])
@@ -327,10 +326,10 @@ def _triangles_kernel(mask: Mask, depth: Depth, largest: float, times_depth: boo
             kept[v, u] = bits
 
 
-@njit(cache=True, parallel=True)
+@njit
 def _faces_kernel(kept: Mask, first: IntArray, index: IntArray, faces: Faces) -> None:
     h, w = kept.shape
-    for v in prange(h - 1):
+    for v in range(h - 1):
         number = first[v]
         for u in range(w - 1):
             for i in range(4):

@@ -24,7 +24,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numba import prange
 
 from vntoolkit.arrays import ByteArray, Float32Array, Mask, VisibilityLabels
 from vntoolkit.checks import require_shape
@@ -138,9 +137,9 @@ def errors_of_materials(
     return errors
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@njit
 def _add_error(stated: Any, added: Any, mask: Any, error: Any, weight: Any) -> None:
-    for v in prange(len(mask)):
+    for v in range(len(mask)):
         for u in range(mask.shape[1]):
             e = min(np.sqrt(stated[v, u] * stated[v, u] + added[v, u] * added[v, u]), _LARGEST_DEG)
             e = max(e, stated[v, u])  # of one light or none
@@ -151,11 +150,11 @@ def _add_error(stated: Any, added: Any, mask: Any, error: Any, weight: Any) -> N
             )
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@njit
 def _fill_errors(numbers: Any, bounds: Any, turned: Any, out: Any) -> None:
     """turned: (1, 1) where it is 0 everywhere."""
     is_turned = turned.size > 1
-    for v in prange(len(numbers)):
+    for v in range(len(numbers)):
         for u in range(numbers.shape[1]):
             bound = bounds[numbers[v, u]]
             rest = turned[v, u] if is_turned else np.float32(0.0)
@@ -194,7 +193,7 @@ def _judged(
 # time.
 
 
-@njit(cache=True, error_model="numpy")
+@njit
 def _bound_row(
     r: Any, g: Any, b: Any, found: Any, unlit: Any, rows: Any, inside: Any, k: Any, m: Any, length: Any,
     bound: Any, weight: Any,
@@ -261,7 +260,7 @@ def _bound_row(
         weight[u] = one / (one + share * share) if inside[u] else zero
 
 
-@njit(cache=True, error_model="numpy")
+@njit
 def _leave_out(
     r: Any, g: Any, b: Any, found: Any, unlit: Any, noise: Any, inside: Any, rest: Any
 ) -> None:  # fmt: skip
@@ -289,7 +288,7 @@ def _leave_out(
         rest[u] -= _PER_NOISE * left_out if unlit[u] == zero else zero
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@njit
 def _error_kernel(
     rgb: Any, normals: Any, mask: Mask, labels: Any, pairs: Any, noise: Any, constants: Any, error: Any,
     weight: Any,
@@ -298,7 +297,7 @@ def _error_kernel(
 
     normals: (h, 3 w), found. pairs: of `_pairs_of_lights`.
     """
-    for v in prange(len(mask)):
+    for v in range(len(mask)):
         error[v, :] = np.float32(0.0)
         weight[v, :] = np.float32(0.0)
         first, last = span_of(mask[v])
@@ -308,7 +307,7 @@ def _error_kernel(
         r, g, b = np.empty(count, np.float32), np.empty(count, np.float32), np.empty(count, np.float32)
         length, unlit = np.empty(count, np.float32), np.zeros(count, np.float32)
         row_noise = np.empty((3, count), np.float32)
-        evidence_row(noise, np.int64(v), first, row_noise)
+        evidence_row(noise, v, first, row_noise)
         read_row(rgb[v, 3 * first : 3 * last], r, g, b)
         found = None if labels is None else normals[v, 3 * first : 3 * last]
         if labels is not None:
@@ -320,7 +319,7 @@ def _error_kernel(
         )  # fmt: skip
 
 
-@njit(cache=True, error_model="numpy")
+@njit
 def _unlit_row(
     r: Any, g: Any, b: Any, normals: Any, label: Any, pairs: Any, k: Any, unlit: Any
 ) -> None:  # fmt: skip

@@ -22,7 +22,6 @@ from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
-from numba import prange
 
 from vntoolkit.arrays import FloatArray, Mask, VisibilityLabels
 from vntoolkit.geometry.camera import Camera
@@ -113,7 +112,7 @@ def evidence_of_frame(
     height, width = mask.shape
     cells = (-(-height // _CELL), -(-width // _CELL))
     found = np.zeros((2, *cells), np.float32)
-    c = c._replace(darkest=np.float32(_least_length(image, mask, c)))
+    c = c._replace(darkest=_least_length(image, mask, c))
     lit = mask if labels is None else mask & (labels == ALL_LIT)  # a shadow's normals belong to no surface
     _curl_kernel(rows_of(image), lit, c, found)
     noise, rows = _means_of_cells(found), np.zeros((3, cells[0], width), np.float32)
@@ -212,29 +211,26 @@ def _rounded(values: Any) -> Any:
     return np.floor(np.asarray(values) / _GRID + 0.5) * _GRID
 
 
+def _least_length(image: Any, mask: Mask, c: Coefficients) -> np.float32:
+    """Return the length of M⁻¹(r − a) below which a pixel is backdrop, hair, or another paint."""
+    step = max(1, math.isqrt(mask.size // _GRID_PIXELS))
+    some = np.s_[step // 2 :: step, step // 2 :: step]
+    with np.errstate(over="ignore", invalid="ignore"):
+        x, y, z = c.inverse @ (image[some][mask[some]] - c.ambient).T
+        squares = (x * x + y * y + z * z)[z < 0]
+    squares = squares[squares > 0]
+    if not squares.size:
+        return c.darkest
+    nearly_last = len(squares) - 1 - len(squares) // 50
+    brightest = np.sqrt(min(np.partition(squares, nearly_last)[nearly_last], LONGEST))
+    return max(c.darkest, np.float32(_LEAST_LIGHT) * brightest)
+
+
 # Compiled loops. Rows are flat slices, whose loops begin at 0: only such loops are done eight pixels at a
 # time.
 
 
-@njit(cache=True, error_model="numpy")
-def _least_length(image: Any, mask: Mask, c: Coefficients) -> np.float32:
-    """Return the length of M⁻¹(r − a) below which a pixel is backdrop, hair, or another paint."""
-    step = max(1, int(math.sqrt(mask.size // _GRID_PIXELS)))
-    squares, count = np.empty(-(-mask.shape[0] // step) * -(-mask.shape[1] // step), np.float32), 0
-    for v in range(step // 2, mask.shape[0], step):
-        for u in range(step // 2, mask.shape[1], step):
-            square = _light_at(image, c, v, u)[3]
-            if mask[v, u] and square > 0:
-                squares[count] = square
-                count += 1
-    if not count:
-        return c.darkest
-    ordered = np.sort(squares[:count])
-    brightest = np.sqrt(min(ordered[count - 1 - count // 50], LONGEST))
-    return max(c.darkest, np.float32(_LEAST_LIGHT) * brightest)
-
-
-@njit(cache=True, error_model="numpy")
+@njit
 def _light_at(image: Any, c: Coefficients, v: int, u: int) -> tuple[Any, Any, Any, Any]:
     """Return r − a of a pixel, and the squared length of M⁻¹(r − a), 0 where it faces away."""
     pixel, inverse, ambient = image[v, u], c.inverse, c.ambient
@@ -245,7 +241,7 @@ def _light_at(image: Any, c: Coefficients, v: int, u: int) -> tuple[Any, Any, An
     return r, g, b, x * x + y * y + z * z if z < 0 else np.float32(0.0)
 
 
-@njit(cache=True, error_model="numpy")
+@njit
 def _samples_kernel(
     image: Any, clipped: Any, mask: Mask, labels: Any, c: Coefficients, step: int, samples: Any
 ) -> int:
@@ -282,7 +278,7 @@ def _samples_kernel(
     return count
 
 
-@njit(cache=True, error_model="numpy")
+@njit
 def _slopes_row(
     line: Any, inside: Any, c: Coefficients, v: int, first: int, p: Any, q: Any, known: Any
 ) -> None:
@@ -314,11 +310,11 @@ def _slopes_row(
         known[u] = facing * np.sqrt(facing) if good else np.float32(0.0)
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@njit
 def _curl_kernel(image: Any, mask: Mask, c: Coefficients, found: Any) -> None:
     """Sum up the squared circulation, as an angle in radians, and its places, along the middle of cells."""
     width = mask.shape[1]
-    for cell in prange(found.shape[1]):
+    for cell in range(found.shape[1]):
         v = min(cell * _CELL + _CELL // 2 - 1, mask.shape[0] - 1 - _LOOP_PX)
         if v >= _LOOP_PX:
             sizes, places = np.empty(width, np.float32), np.zeros(width, np.bool_)
@@ -326,7 +322,7 @@ def _curl_kernel(image: Any, mask: Mask, c: Coefficients, found: Any) -> None:
             _squares_of_cells(sizes, places, found[0, cell], found[1, cell])
 
 
-@njit(cache=True, error_model="numpy")
+@njit
 def _curl_row(image: Any, mask: Mask, c: Coefficients, v: int, found: Any, places: Any) -> None:
     width, zero, half, one = mask.shape[1], np.float32(0.0), np.float32(0.5), np.float32(1.0)
     first, last = span_of(mask[v])
@@ -348,7 +344,7 @@ def _curl_row(image: Any, mask: Mask, c: Coefficients, v: int, found: Any, place
             for u in range(width):
                 down[u] += sign * p[u]
         if step == 0:
-            here[:] = known
+            here = known.copy()
     inner = width - 2 * _LOOP_PX
     if inner < 1:
         return
@@ -367,7 +363,7 @@ def _curl_row(image: Any, mask: Mask, c: Coefficients, v: int, found: Any, place
         to_places[u] = good[u] > zero
 
 
-@njit(cache=True)
+@njit
 def _median_of(values: Any, count: int) -> np.float32:
     """Sort the first of a few values in place; return their median."""
     for i in range(1, count):
@@ -379,7 +375,7 @@ def _median_of(values: Any, count: int) -> np.float32:
     return np.float32(0.5) * (values[(count - 1) // 2] + values[count // 2])
 
 
-@njit(cache=True)
+@njit
 def _squares_of_cells(sizes: Any, places: Any, sums: Any, counts: Any) -> None:
     """Fill every cell's sum of squared circulations, by their median size, and their number."""
     of_cell = np.empty(_CELL, np.float32)
@@ -395,7 +391,7 @@ def _squares_of_cells(sizes: Any, places: Any, sums: Any, counts: Any) -> None:
             sums[cell] = counts[cell] * min(deviation * deviation, np.float32(1.0))
 
 
-@njit(cache=True, error_model="numpy")
+@njit
 def evidence_row(noise: Any, v: int, first: int, row: Any) -> None:
     """Fill (3, n) from pixel `first` on, between the rows of cells; linear too."""
     y = max((np.float32(v) + np.float32(0.5)) / np.float32(_CELL) - np.float32(0.5), np.float32(0.0))
@@ -408,7 +404,7 @@ def evidence_row(noise: Any, v: int, first: int, row: Any) -> None:
             to[u] = (one - t) * above[u] + t * below[u]
 
 
-@njit(cache=True, error_model="numpy")
+@njit
 def slow_changes_at(shape: Any, k: Any, u: int, v: int) -> Any:
     """Return M⁻¹ΔM of near lamps at a pixel, (9,), then f of `fit_ellipsoid` there and its slope along u."""
     half, two = np.float32(0.5), np.float32(2.0)

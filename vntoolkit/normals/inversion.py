@@ -8,7 +8,6 @@ shadow, gloss and another paint all change it.
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import prange
 
 from vntoolkit.arrays import Array, Mask
 from vntoolkit.checks import checks_kinds, require_mask
@@ -93,7 +92,7 @@ def relative_albedo_from_frame(
     return float(np.median(lengths))
 
 
-@njit(cache=True, error_model="numpy")
+@njit
 def _lengths(rgb: Any, inside: Any, inverse: Any, ambient: Any) -> Any:
     """(n,), lengths of M⁻¹(r − a) of the pixels inside that are brighter than the ambient light."""
     found, count = np.empty(inside.size), 0
@@ -181,20 +180,20 @@ class Outputs(NamedTuple):
 # only such loops are done many pixels at a time.
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@njit
 def _normals_kernel(
     image: Array, clipped: Array, inside: Array, maps: Any, c: Coefficients, out: Outputs
 ) -> None:
     """Fill `out` from linear colours (h, 3 w) with their clipped pixels (h, w)."""
     height, width = inside.shape
-    normals, weight, valid = out  # numba drops stores through a tuple's field inside prange
-    for v in prange(height):
+    normals, weight, valid = out
+    for v in range(height):
         first, last = span_of(inside[v])
         count = last - first
         x, y, z = np.empty(count, np.float32), np.empty(count, np.float32), np.empty(count, np.float32)
         read_row(image[v, 3 * first : 3 * last], x, y, z)
         if maps is not None:
-            map_row(maps, np.int64(v), first, x, y, z)
+            map_row(maps, v, first, x, y, z)
         _mix_row(c, x, y, z)
         for side in (slice(0, first), slice(last, width)):
             weight[v, side], valid[v, side] = _ZERO, False
@@ -208,14 +207,14 @@ def _normals_kernel(
             to[3 * u + 2] = z[u]
 
 
-@njit(cache=True, error_model="numpy")
+@njit
 def read_row(line: Any, r: Any, g: Any, b: Any) -> None:
     """Fill three rows (w,) from a row of colours or normals, (3 w,)."""
     for u in range(len(r)):
         r[u], g[u], b[u] = line[3 * u], line[3 * u + 1], line[3 * u + 2]
 
 
-@njit(cache=True, error_model="numpy")
+@njit
 def _mix_row(c: Coefficients, x: Array, y: Array, z: Array) -> None:
     """Replace the colours in x, y, z by M⁻¹(r − a)."""
     i00, i01, i02 = c.inverse[0, 0], c.inverse[0, 1], c.inverse[0, 2]
@@ -229,7 +228,7 @@ def _mix_row(c: Coefficients, x: Array, y: Array, z: Array) -> None:
         z[u] = i20 * red + i21 * green + i22 * blue - d
 
 
-@njit(cache=True, error_model="numpy")
+@njit
 def _normalise_row(
     x: Array, y: Array, z: Array, clipped: Array, inside: Array, c: Coefficients, weight: Array, valid: Array
 ) -> None:

@@ -18,7 +18,6 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import prange
 
 from vntoolkit.geometry.maps import NOISE_CELL_PX
 from vntoolkit.native import njit
@@ -56,7 +55,7 @@ def lost_over_left(found: Any, blur_px: float, side: int) -> float:
     return _OF_MANY_WAVES * 0.5 * taken**2  # of one of two directions
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@njit
 def detail_kernel(
     image: Any, clipped: Any, mask: Any, labels: Any, inverse: Any, ambient: Any, inverse_albedo: Any,
     side: int, found: Any,
@@ -66,7 +65,7 @@ def detail_kernel(
     found: (3, ⌈h/16⌉, ⌈w/16⌉): the second's sums, how many there are, the third's sums.
     """
     height = len(mask)
-    for cell in prange(found.shape[1]):
+    for cell in range(found.shape[1]):
         found[:, cell] = np.float32(0.0)
         top = cell * _CELL + (_CELL - _ROWS * side) // 2
         if cell % 2 == 0 and top >= 0 and top + _ROWS * side <= height:  # neighbours tell the others
@@ -75,7 +74,7 @@ def detail_kernel(
             )  # fmt: skip
 
 
-@njit(cache=True, error_model="numpy")
+@njit
 def _detail_row(
     image: Any, clipped: Any, mask: Any, labels: Any, inverse: Any, ambient: Any, inverse_albedo: Any,
     side: int, top: int, found: Any,
@@ -105,8 +104,9 @@ def _detail_row(
                 _smooth(normals[k, axis], normals[k + 1, axis], normals[k + 2, axis], squares)
         for k in range(2):
             for axis in range(3):
-                to = blurred[times, k, axis]
-                to[:] = normals[rows // 2 - 1 + k, axis, :squares]
+                to, of_row = blurred[times, k, axis], normals[rows // 2 - 1 + k, axis]
+                for i in range(squares):
+                    to[i] = of_row[i]
                 for _ in range(times + 1):
                     _smooth_along(to)
     p, q = np.empty((2, 2, squares), np.float32), np.empty((2, 2, squares), np.float32)
@@ -138,7 +138,7 @@ def _detail_row(
         found[2, into] += near[i] * taken[1, i]
 
 
-@njit(cache=True, error_model="numpy")
+@njit
 def _taken(before: Any, after: Any, p: Any, q: Any, square: Any) -> None:
     """Fill what a blur takes from normals (3, n), across them: along u, along v, and all of it squared."""
     x, y, z = before[0], before[1], before[2]
@@ -151,7 +151,7 @@ def _taken(before: Any, after: Any, p: Any, q: Any, square: Any) -> None:
         p[i], q[i], square[i] = a, b, a * a + b * b + c * c
 
 
-@njit(cache=True, error_model="numpy")
+@njit
 def _smooth(above: Any, here: Any, below: Any, count: int) -> None:
     """Put ¼, ½, ¼ of three rows into the first."""
     quarter, half = np.float32(0.25), np.float32(0.5)
@@ -159,7 +159,7 @@ def _smooth(above: Any, here: Any, below: Any, count: int) -> None:
         above[i] = quarter * (above[i] + below[i]) + half * here[i]
 
 
-@njit(cache=True, error_model="numpy")
+@njit
 def _smooth_along(row: Any) -> None:
     """Put ¼, ½, ¼ of three neighbours into the one in the middle; the ends stay."""
     quarter, half = np.float32(0.25), np.float32(0.5)
@@ -170,7 +170,7 @@ def _smooth_along(row: Any) -> None:
         to[i] = quarter * (before[i] + after[i]) + half * middle[i]
 
 
-@njit(cache=True, error_model="numpy")
+@njit
 def _squares_row(
     image: Any, clipped: Any, mask: Any, labels: Any, inverse: Any, ambient: Any, inverse_albedo: Any,
     side: int, top: int, normals: Any, sound: Any,

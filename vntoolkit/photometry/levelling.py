@@ -9,7 +9,6 @@ from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import prange
 
 from vntoolkit.arrays import Array, Box, FloatArray
 from vntoolkit.native import njit
@@ -127,11 +126,11 @@ def _mapped(
     return LinearFrame(rgb=out, clipped=frame.clipped, number=frame.number)
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@njit
 def _map_kernel(rgb: Any, maps: ColourMaps, corner: Any, inside: Any, out: Any) -> None:
     top, bottom, left, right = inside
     width = right - left
-    for v in prange(len(out)):
+    for v in range(len(out)):
         to = out[v]
         if not top <= v < bottom:
             to[:] = 0.0
@@ -140,14 +139,14 @@ def _map_kernel(rgb: Any, maps: ColourMaps, corner: Any, inside: Any, out: Any) 
         line = rgb[v, left:right]
         for u in range(width):
             r[u], g[u], b[u] = line[u, 0], line[u, 1], line[u, 2]
-        map_row(maps, np.int64(v) + corner[0], left + corner[1], r, g, b)
+        map_row(maps, v + corner[0], left + corner[1], r, g, b)
         to[:left] = 0.0
         to[right:] = 0.0
         for u in range(width):
             to[left + u, 0], to[left + u, 1], to[left + u, 2] = r[u], g[u], b[u]
 
 
-@njit(cache=True, error_model="numpy")
+@njit
 def span_of(inside: Any) -> tuple[int, int]:
     """Return the first pixel of a row that is inside and the one after the last; (0, 0) for none."""
     first, last = 0, len(inside)
@@ -158,7 +157,7 @@ def span_of(inside: Any) -> tuple[int, int]:
     return (first, last) if first < last else (0, 0)
 
 
-@njit(cache=True, error_model="numpy")
+@njit
 def map_row(maps: ColourMaps, v: int, first: int, r: Any, g: Any, b: Any) -> None:
     """Map the colours of a row from pixel `first` on, in place."""
     grid, step, ramp = maps.grid, maps.step, maps.ramp

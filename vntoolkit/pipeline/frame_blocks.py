@@ -14,7 +14,6 @@ from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.io.footage.decoding import EncodedFrame
 from vntoolkit.io.results.frame_log import FrameEntry
 from vntoolkit.io.results.manifest import Known
-from vntoolkit.native import loops_may_overlap
 from vntoolkit.options.reconstruction import OnError, Product
 from vntoolkit.photometry.frame import ALL_LIT
 from vntoolkit.pipeline.frame_processor import Carried, FrameProcessor, PreparedFrame
@@ -51,8 +50,6 @@ class FrameBlockProcessor:
             materials=known.materials,
             blur_px=known.blur_px,
         )
-        overlap = self._processor.finds_shadows and threads > 1 and loops_may_overlap()
-        self._lanes = 2 if overlap else 1  # frames whose normals are found at a time
         self._carried = Carried(albedo=None if request.is_of_gel else known.relative_albedo)
         if options.to is not Product.NORMALS or known.materials:
             at = known.reference_frame
@@ -68,11 +65,10 @@ class FrameBlockProcessor:
         """
         self._carried.reset()
         waiting = _WAITING if self._threads > 1 else 0
-        meanwhile = waiting if loops_may_overlap() else 0
         frames = read_ahead(self._frames(block), waiting)
         there = (frame for frame in frames if not self._footage.mattes.missing([frame.number]))
-        found = stepped(map(self._with_light, there), self._with_normals, self._lanes)
-        whole = stepped(found, self._with_surface, waiting=meanwhile)
+        found = stepped(map(self._with_light, there), self._with_normals, self._threads)
+        whole = stepped(found, self._with_surface, waiting=waiting)
         wanted = (work for work in whole if work.frame.number not in already_done)
         yield from stepped(wanted, self._written, waiting=_WAITING)
 

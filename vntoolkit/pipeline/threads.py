@@ -19,9 +19,8 @@ def side_by_side(
 ) -> Iterator[tuple[Item, Future[Result]]]:
     """Yield `items` in order with what a step makes of them, while further ones are at work.
 
-    threads: items at work at a time; of several threads each takes one core for compiled loops. waiting: so
-    many more items are begun before the first is handed on. One thread and none waiting: all is done in the
-    calling thread.
+    threads: items at work at a time. waiting: so many more items are begun before the first is handed on. One
+    thread and none waiting: all is done in the calling thread.
     """
     if threads == 1 and not waiting:
         for item in items:
@@ -33,7 +32,7 @@ def side_by_side(
             yield item, done
         return
     at_work: deque[tuple[Item, Future[Result]]] = deque()
-    pool = ThreadPoolExecutor(threads, "step", None if threads == 1 else _take_one_core)
+    pool = ThreadPoolExecutor(threads, "step")
     try:
         for item in items:
             at_work.append((item, pool.submit(step, item)))
@@ -45,12 +44,6 @@ def side_by_side(
         # abandoned generator while a thread begins, and joining there never ends.
         pool.shutdown(wait=False, cancel_futures=True)
         wait([done for _, done in at_work if not done.cancelled()])
-
-
-def _take_one_core() -> None:
-    import numba
-
-    numba.set_num_threads(1)
 
 
 def stepped(

@@ -162,7 +162,7 @@ def brighter_than(frame: LinearFrame, response: LightResponse, darkest: float, m
     return mask & (np.einsum("vuc,vuc->vu", scaled, scaled) > darkest**2)
 
 
-@njit(cache=True, error_model="numpy")
+@njit
 def _split_kernel(
     rgb: FloatArray, split: Numbers, inverse: Numbers, ambient: Numbers, rest: np.float32,
     contributions: FloatArray, length: FloatArray, normals: FloatArray,
@@ -194,7 +194,7 @@ def numbers_of(values: ArrayLike) -> Numbers:
     return tuple(np.float32(value) for value in np.ravel(np.asarray(values)))
 
 
-@njit(cache=True, forceinline=True, error_model="numpy")
+@njit(forceinline=True)
 def _turned(matrix: Numbers, x: Any, y: Any, z: Any) -> tuple[Any, Any, Any]:
     """Return a 3×3 matrix, nine numbers, times a vector."""
     return (
@@ -204,7 +204,7 @@ def _turned(matrix: Numbers, x: Any, y: Any, z: Any) -> tuple[Any, Any, Any]:
     )
 
 
-@njit(cache=True, forceinline=True, error_model="numpy")
+@njit(forceinline=True)
 def _scaled_normal(
     r: Any, g: Any, b: Any, inverse: Numbers, ambient: Numbers, rest: Any
 ) -> tuple[Any, Any, Any, Any]:

@@ -121,7 +121,7 @@ def _edge_directions(image: FloatArray, mask: Mask) -> Int64Array:
     return np.where(edge, steepest, -1)
 
 
-@njit(cache=True)
+@njit
 def _large_components(direction: Int64Array, tolerance: int, smallest: int) -> Int64Array:
     """Keep edge pixels in eight-connected components of agreeing direction that are large enough."""
     h, w = direction.shape
@@ -154,7 +154,7 @@ def _large_components(direction: Int64Array, tolerance: int, smallest: int) -> I
     return kept
 
 
-@njit(cache=True)
+@njit
 def _flood(
     image: Float32Array,
     mask: BoolArray,

@@ -4,7 +4,6 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numba import prange
 
 from vntoolkit.arrays import BoolArray, Float64Array, FloatArray, Int32Array, IntArray, Mask
 from vntoolkit.native import njit
@@ -41,7 +40,7 @@ def lit_by_cut(
     return lit
 
 
-@njit(cache=True)
+@njit
 def _number_kernel(log_odds: FloatArray, mask: Mask, most: Any, number: Nodes, lit: Mask) -> int:
     """Number the pixels that the cut must decide, and label the others."""
     h, w = mask.shape
@@ -62,7 +61,7 @@ def _number_kernel(log_odds: FloatArray, mask: Mask, most: Any, number: Nodes, l
     return count
 
 
-@njit(cache=True)
+@njit
 def _cut_kernel(
     log_odds: FloatArray, east: FloatArray, south: FloatArray, number: Nodes, count: int,
     lit: Mask,
@@ -97,7 +96,7 @@ def _cut_kernel(
                 lit[v, u] = not shadow[number[v, u]]
 
 
-@njit(cache=True)
+@njit
 def _cut(excess: Float64Array, capacity: Float64Array, neighbour: Int32Array) -> BoolArray:
     """Push as much flow as the graph takes; return the nodes that could still pass some on to a sink.
 
@@ -111,12 +110,15 @@ def _cut(excess: Float64Array, capacity: Float64Array, neighbour: Int32Array) ->
     turn = np.zeros(count, np.int8)  # the way that a node tries; those before it lead nowhere
     queue = np.empty(count, np.int32)
     path = np.empty(count, np.int32)
-    sinks = np.flatnonzero(excess < 0.0)
+    sinks, left = np.arange(count).astype(np.int32), count
     while True:
-        sinks = sinks[excess[sinks] < 0.0]
-        end = sinks.size
-        queue[:end] = sinks
-        distance[sinks] = 0
+        end = 0
+        for k in range(left):
+            i = sinks[k]
+            if excess[i] < 0.0:
+                sinks[end], queue[end], distance[i] = i, i, 0
+                end += 1
+        left = end
         nearest = count + 1  # distance of the sources that are nearest to a sink
         head = 0
         while head < end and distance[queue[head]] < nearest:
@@ -136,10 +138,11 @@ def _cut(excess: Float64Array, capacity: Float64Array, neighbour: Int32Array) ->
         for k in range(end):
             if distance[queue[k]] == nearest:
                 _drain(queue[k], excess, capacity, neighbour, distance, turn, path)
-        distance[queue[:end]] = -1
+        for k in range(end):
+            distance[queue[k]] = -1
 
 
-@njit(cache=True)
+@njit
 def _drain(
     source: int,
     excess: Float64Array,
@@ -194,7 +197,7 @@ def weights_of_light(
     return east, south
 
 
-@njit(cache=True, forceinline=True, error_model="numpy")
+@njit(forceinline=True)
 def _change(first: Any, second: Any, other_first: Any, other_second: Any) -> Any:
     """Return by what factor, at least 1, one cosine changes more than another from pixel to pixel."""
     dark, zero = np.float32(_DARK_COSINE), np.float32(0.0)
@@ -203,7 +206,7 @@ def _change(first: Any, second: Any, other_first: Any, other_second: Any) -> Any
     return max(one, two) / min(one, two)
 
 
-@njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
+@njit
 def _weights_kernel(
     cosines: FloatArray, light: int, number: Nodes, strength: Any, sharpness: Any, east: FloatArray,
     south: FloatArray,
@@ -211,7 +214,7 @@ def _weights_kernel(
     h, w = number.shape
     second, third = (light + 1) % 3, (light + 2) % 3
     weakest, rest = np.float32(_LEAST_WEIGHT), np.float32(1.0 - _LEAST_WEIGHT)
-    for v in prange(h):
+    for v in range(h):
         here, below = number[v], number[min(v + 1, h - 1)]
         for u in range(w):
             n = min(u + 1, w - 1)

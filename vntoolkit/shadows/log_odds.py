@@ -11,7 +11,6 @@ A cosine is a light's contribution over the albedo around and its strength: 1 wh
 from typing import Any
 
 import numpy as np
-from numba import prange
 
 from vntoolkit.arrays import FloatArray, Mask, Matrix3
 from vntoolkit.native import njit
@@ -78,11 +77,11 @@ def without_paint(cosines: FloatArray, predicted: FloatArray) -> FloatArray:
     return out
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@njit
 def _paint_kernel(cosines: FloatArray, predicted: FloatArray, out: FloatArray) -> None:
     h, w = cosines.shape[0], cosines.shape[1] // 3
     one, part, least = np.float32(1.0), np.float32(_PAINT_PART), np.float32(_TOLERANCE_DARK)
-    for v in prange(h):
+    for v in range(h):
         line, surface, to = cosines[v], predicted[v], out[v]
         for u in range(w):
             i = 3 * u
@@ -116,7 +115,7 @@ def log_odds_of_lights(
     return out
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@njit
 def _log_odds_kernel(
     cosines: FloatArray, predicted: FloatArray, albedo: FloatArray, ratio: FloatArray, typical: Any,
     spread: Any, duals: FloatArray, out: FloatArray,
@@ -124,7 +123,7 @@ def _log_odds_kernel(
     _, h, w = out.shape
     strongest, zero = np.float32(LARGEST_LOG_ODDS), np.float32(0.0)
     bound = np.float32(_MOST_TIMES) * typical + np.float32(_MOST_MARGIN) + np.float32(_MOST_SPREADS) * spread
-    for v in prange(h):
+    for v in range(h):
         for u in range(w):
             noise = np.float32(CONTRIBUTION_NOISE) / max(albedo[v, u], np.float32(_SMALLEST_ALBEDO))
             least = typical + np.float32(_LEAST_MARGIN) + noise
@@ -146,7 +145,7 @@ def _log_odds_kernel(
                 out[weakest, v, u] = min(max(found, -strongest), strongest)
 
 
-@njit(cache=True, forceinline=True, error_model="numpy")
+@njit(forceinline=True)
 def log_odds_from_albedo(k: int, cosine: Any, predicted: FloatArray, ratio: Any, duals: Matrix3) -> Any:
     """Return the log odds for light k, positive for light, of a length `ratio` times the albedo around.
 
@@ -166,6 +165,6 @@ def log_odds_from_albedo(k: int, cosine: Any, predicted: FloatArray, ratio: Any,
     return min(max(found, -_MOST_FROM_ALBEDO), _MOST_FROM_ALBEDO)
 
 
-@njit(cache=True, forceinline=True, error_model="numpy")
+@njit(forceinline=True)
 def _log(ratio: Any) -> Any:
     return min(max(np.log(max(ratio, _SMALLEST_RATIO)), -_LARGEST_EXCESS), _LARGEST_EXCESS)

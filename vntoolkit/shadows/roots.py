@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
-from numba import prange
 
 from vntoolkit.arrays import ByteArray, FloatArray, Mask, VisibilityLabels
 from vntoolkit.native import njit
@@ -147,7 +146,7 @@ def _squared_difference(normals: FloatArray, lit: Mask, lag: int) -> float:
     return max(float(np.median(apart)), _LEAST_SCALE**2)
 
 
-@njit(cache=True, forceinline=True, error_model="numpy")
+@njit(forceinline=True)
 def _root(base: FloatArray, v: int, u: int, tilt: Any, axis: FloatArray) -> tuple[Any, Any, Any]:
     cosine, sine = np.cos(tilt), np.sin(tilt)
     i = 3 * u
@@ -157,19 +156,19 @@ def _root(base: FloatArray, v: int, u: int, tilt: Any, axis: FloatArray) -> tupl
     )  # fmt: skip
 
 
-@njit(cache=True, forceinline=True, error_model="numpy")
+@njit(forceinline=True)
 def _apart(one: tuple[Any, Any, Any], other: tuple[Any, Any, Any]) -> Any:
     return (one[0] - other[0]) ** 2 + (one[1] - other[1]) ** 2 + (one[2] - other[2]) ** 2
 
 
-@njit(cache=True, forceinline=True, error_model="numpy")
+@njit(forceinline=True)
 def _likelihood(one: tuple[Any, Any, Any], other: tuple[Any, Any, Any], scale: Any, step: Any) -> Any:
     """Return how likely two neighbours' normals are: alike on one surface, anything across a step."""
     wide = scale + _apart(one, other)
     return scale / (wide * wide) + step
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@njit
 def _costs_kernel(
     base: FloatArray, tilt: FloatArray, across: FloatArray, labels: VisibilityLabels, kinds: ByteArray,
     variance: FloatArray, squared: Any, step: Any, log_odds: FloatArray, east: FloatArray, south: FloatArray,
@@ -180,7 +179,7 @@ def _costs_kernel(
     """
     h, w = labels.shape
     half, zero = np.float32(0.5), np.float32(0.0)
-    for v in prange(h):
+    for v in range(h):
         for u in range(w):
             if kinds[v, u] != _TWO:
                 continue
@@ -214,6 +213,6 @@ def _costs_kernel(
                     south[v, u] = max(half * np.log(both * neither / (one * other)), zero)
 
 
-@njit(cache=True, forceinline=True, error_model="numpy")
+@njit(forceinline=True)
 def _is_kind(kinds: ByteArray, v: int, u: int, kind: int) -> Any:
     return 0 <= v < kinds.shape[0] and 0 <= u < kinds.shape[1] and kinds[v, u] == kind

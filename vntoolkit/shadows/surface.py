@@ -16,7 +16,6 @@ from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
-from numba import prange
 
 from vntoolkit.arrays import ByteArray, Float32Array, FloatArray, Mask, VisibilityLabels, Weight
 from vntoolkit.geometry.camera import Camera
@@ -316,7 +315,7 @@ class Model(NamedTuple):
 # Compiled loops of `surface`: what each pixel asks of the depth around it, gathered into grid edges.
 
 
-@njit(cache=True, fastmath=True, forceinline=True, error_model="numpy")
+@njit(forceinline=True)
 def _of_light(
     l0: Any, l1: Any, l2: Any, n0: Any, n1: Any, n2: Any, x: Any, y: Any, along_p: Any, along_q: Any,
     scale: Any, cosine: Any, is_lit: Any, model: Model,
@@ -339,7 +338,7 @@ def _of_light(
     return count, light, rest, j0, j1
 
 
-@njit(cache=True, fastmath=True, forceinline=True, error_model="numpy")
+@njit(forceinline=True)
 def _local_quadratic(
     x: Any, y: Any, p: Any, q: Any, towards_p: Any, towards_q: Any, seen0: Any, seen1: Any, seen2: Any,
     label: Any, trust: Any, lights: Numbers, model: Model,
@@ -387,7 +386,7 @@ def _local_quadratic(
     )
 
 
-@njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
+@njit
 def quadratics_kernel(
     cosines: Grid, labels: Labels, weight: Grid, slopes: Grid, prior: Grid, lights: Numbers, rays: RayGrid,
     model: Model, out: Grid, targets: Grid,
@@ -397,7 +396,7 @@ def quadratics_kernel(
     targets: (2, h, w), A s + b. cosines: (h, w, 3) contribution of each light over the albedo.
     """
     h, w = labels.shape
-    for v in prange(h):
+    for v in range(h):
         seen, label, trust = cosines[v], labels[v], weight[v]
         slope_p, slope_q, prior_p, prior_q = slopes[0, v], slopes[1, v], prior[0, v], prior[1, v]
         o00, o01, o11, o0, o1, oc = out[0, v], out[1, v], out[2, v], out[3, v], out[4, v], out[5, v]
@@ -416,7 +415,7 @@ def quadratics_kernel(
             to_p[u], to_q[u] = a00 * p + a01 * q + b0, a01 * p + a11 * q + b1
 
 
-@njit(cache=True, fastmath=True, error_model="numpy")
+@njit
 def _normals_kernel(
     slopes: Grid, first: Grid, agreement: Grid, known: Mask, mask: Mask, rays: RayGrid, out: Grid
 ) -> None:
@@ -443,7 +442,7 @@ def _normals_kernel(
             )  # fmt: skip
 
 
-@njit(cache=True, forceinline=True, error_model="numpy")
+@njit(forceinline=True)
 def _mixed(a0: Any, a1: Any, a2: Any, weight: Any, b0: Any, b1: Any, b2: Any) -> tuple[Any, Any, Any]:
     """Blend two unit vectors, the first with `weight`."""
     rest = np.float32(1.0) - weight

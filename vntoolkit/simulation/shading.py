@@ -121,7 +121,7 @@ def _contiguous(values: FloatArray | None) -> FloatArray | None:
 # Compiled loops over surface samples.
 
 
-@njit(cache=True)
+@njit
 def sample_geometry(
     vertices: Array, normals: Array, faces: Array, hit_faces: Array, barycentric: Array
 ) -> tuple[Array, Array, Array]:
@@ -161,7 +161,7 @@ def sample_geometry(
     return points, shading, origins
 
 
-@njit(cache=True)
+@njit
 def _outward_sign(vertices: Array, faces: Array, face: int, p: Array) -> float:
     """+1 where the face's outside looks at the camera (at the origin), −1 where its inside does."""
     a, b, c = vertices[faces[face, 0]], vertices[faces[face, 1]], vertices[faces[face, 2]]
@@ -171,7 +171,7 @@ def _outward_sign(vertices: Array, faces: Array, face: int, p: Array) -> float:
     return 1.0 if x * p[0] + y * p[1] + z * p[2] <= 0.0 else -1.0
 
 
-@njit(cache=True)
+@njit
 def _face_camera(n: Array, p: Array, side: float) -> None:
     """Normalise n in place, on the camera's side; just past a silhouette it becomes grazing."""
     distance = np.sqrt(p[0] * p[0] + p[1] * p[1] + p[2] * p[2])
@@ -190,7 +190,7 @@ def _face_camera(n: Array, p: Array, side: float) -> None:
             n[axis] -= (away + 1e-6) * p[axis] / distance
 
 
-@njit(cache=True, error_model="numpy")
+@njit
 def _texel(texture: Array, u: float, v: float, out: Array) -> None:
     """Bilinear look-up with tiling; texel centres at half-integers."""
     rows, columns = texture.shape[0], texture.shape[1]
@@ -205,13 +205,13 @@ def _texel(texture: Array, u: float, v: float, out: Array) -> None:
         out[b] = upper * (1.0 - fy) + lower * fy
 
 
-@njit(cache=True, error_model="numpy")
+@njit
 def _tiled(index: int, count: int) -> int:
     """`index` modulo `count`; mostly it lies within, and a division takes as long as all the rest."""
     return index if 0 <= index < count else index % count
 
 
-@njit(cache=True, error_model="numpy")
+@njit
 def sample_texture(texture: Array, uv: Array, hit_faces: Array, barycentric: Array) -> Array:
     """Return (p, b) the texture at the samples."""
     count, bands = hit_faces.size, texture.shape[2]
@@ -225,7 +225,7 @@ def sample_texture(texture: Array, uv: Array, hit_faces: Array, barycentric: Arr
     return values
 
 
-@njit(cache=True)
+@njit
 def interpolate(per_vertex: Array, faces: Array, hit_faces: Array, barycentric: Array) -> Array:
     """Return (p, c) the values (n, c) of the vertices at the samples."""
     count, width = hit_faces.size, per_vertex.shape[1]
@@ -240,7 +240,7 @@ def interpolate(per_vertex: Array, faces: Array, hit_faces: Array, barycentric: 
     return values
 
 
-@njit(cache=True)
+@njit
 def tilt_normals(
     shading: Array, points: Array, slopes: Array, vertices: Array, faces: Array, uv: Array, hit_faces: Array
 ) -> None:
@@ -278,19 +278,19 @@ def tilt_normals(
             shading[i, axis] = n[axis]
 
 
-@njit(cache=True)
+@njit
 def _dot(a: Array, b: Array) -> float:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@njit(cache=True)
+@njit
 def _cross(a: Array, b: Array, out: Array) -> None:
     out[0] = a[1] * b[2] - a[2] * b[1]
     out[1] = a[2] * b[0] - a[0] * b[2]
     out[2] = a[0] * b[1] - a[1] * b[0]
 
 
-@njit(cache=True)
+@njit
 def shade(
     points: Array, shading: Array, weights: Array, gloss: Array, exponent: float, lit: Array,
     positions: Array, directions: Array, distances: Array, near: bool,

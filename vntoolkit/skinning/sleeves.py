@@ -162,7 +162,7 @@ def _largest(mask: Mask) -> Mask:
     return np.asarray(pieces == np.bincount(pieces[mask]).argmax())
 
 
-@njit(cache=True)
+@njit
 def _fill(placed, faces, nearest):  # type: ignore[no-untyped-def]
     """Lower `nearest` to the z of every triangle, where it covers the centre of a cell."""
     for f in range(len(faces)):

@@ -37,7 +37,7 @@ def drawn_together(vertices: Points, edges: Faces, longest: FloatArray) -> Point
     return moved
 
 
-@njit(cache=True)
+@njit
 def _draw_together(vertices, edges, longest, squares, now, starts, about):  # type: ignore[no-untyped-def]
     is_near = np.zeros(len(edges), np.bool_)
     for sweep in range(_SWEEPS):

@@ -52,7 +52,7 @@ def rested(depth_map: DepthMap) -> DepthMap:
     return replace(depth_map, depth=depth)
 
 
-@njit(cache=True)
+@njit
 def _plane_at_rest(depth: Array, mask: Mask, step: int) -> Array:
     """Height and slopes (3,) along x and y, which run from −1 to 1 over the picture."""
     height, width = mask.shape
@@ -83,7 +83,7 @@ def _plane_at_rest(depth: Array, mask: Mask, step: int) -> Array:
     return plane
 
 
-@njit(cache=True)
+@njit
 def _less_plane(depth: Array, mask: Mask, plane: Array, out: Array) -> None:
     """Put the depth less the plane into `out`; outside the mask it stays."""
     height, width = mask.shape
@@ -109,7 +109,7 @@ def contact_from_depth(depth_map: DepthMap, camera: Camera) -> Contact:
     return Contact(mask=mask, area_mm2=float(count) * pixel_mm**2, depth_mm=1000.0 * float(deepest))
 
 
-@njit(cache=True)
+@njit
 def _box_of_dents(depth: Array, mask: Mask, shallowest: float) -> tuple[int, int, int, int]:
     """First and last row, first and last column (the last ones exclusive) of what is dented."""
     height, width = mask.shape
@@ -122,7 +122,7 @@ def _box_of_dents(depth: Array, mask: Mask, shallowest: float) -> tuple[int, int
     return top, bottom, left, right
 
 
-@njit(cache=True)
+@njit
 def _mark_contacts(depth: Array, labels: Array, count: int, mask: Mask) -> tuple[int, float]:
     """Mark in `mask` what lies deeper than a share of its dent's depth; pixels marked, and the deepest."""
     deepest = np.zeros(count + 1, depth.dtype)

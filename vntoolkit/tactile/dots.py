@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from numba import prange
 
 from vntoolkit.arrays import Array, ByteArray, LinearImage, Mask
 from vntoolkit.native import njit
@@ -135,7 +134,7 @@ class DotFilter:
         return unknown | _enlarged(found, unknown.shape)
 
 
-@njit(cache=True, fastmath=True, error_model="numpy")
+@njit
 def _take_means(image, step, small):  # type: ignore[no-untyped-def]  # pragma: no cover
     """Means over squares of `step` pixels, of all channels."""
     wide = 3 * small.shape[1]
@@ -155,7 +154,7 @@ def _take_means(image, step, small):  # type: ignore[no-untyped-def]  # pragma: 
                 small[v, u, c] = total * share
 
 
-@njit(cache=True)
+@njit
 def _repeat(small, step, mask):  # type: ignore[no-untyped-def]  # pragma: no cover
     """Every pixel of `small` as a square of `step` pixels of `mask`; the rest stays."""
     for v in range(small.shape[0]):
@@ -168,7 +167,7 @@ def _repeat(small, step, mask):  # type: ignore[no-untyped-def]  # pragma: no co
             mask[v * step + k] = first
 
 
-@njit(cache=True)
+@njit
 def _box_of_darker(change, bright, share):  # type: ignore[no-untyped-def]  # pragma: no cover
     """First and last row and column, the last exclusive, where all channels fell by a share of `bright`."""
     height, width = change.shape[:2]
@@ -184,7 +183,7 @@ def _box_of_darker(change, bright, share):  # type: ignore[no-untyped-def]  # pr
     return top, bottom, left, right
 
 
-@njit(cache=True)
+@njit
 def _darker(small, closed, share):  # type: ignore[no-untyped-def]  # pragma: no cover
     """1 where all channels are below this share of their closing."""
     height, width = small.shape[:2]
@@ -198,7 +197,7 @@ def _darker(small, closed, share):  # type: ignore[no-untyped-def]  # pragma: no
     return dark
 
 
-@njit(cache=True)
+@njit
 def _find_known_rows(holes, above, below):  # type: ignore[no-untyped-def]  # pragma: no cover
     """Of every pixel the nearest known row in its column, above and below; −1 and the height for none."""
     height, width = holes.shape
@@ -213,14 +212,13 @@ def _find_known_rows(holes, above, below):  # type: ignore[no-untyped-def]  # pr
             below[v, u] = below[v + 1, u] if holes[v, u] else v
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@njit
 def _fill(change, holes, above, below, filled):  # type: ignore[no-untyped-def]  # pragma: no cover
     """Fill the holes from what is known nearest in row and column, the shorter gap counting more."""
     height, width = holes.shape
     one, zero = np.float32(1), np.float32(0)
-    for row in prange(height):
-        v, u = np.int64(row), 0  # unsigned, the loop's own number makes floats of differences
-        line, to = change[v], filled[v]
+    for v in range(height):
+        u, line, to = 0, change[v], filled[v]
         while u < width:
             if not holes[v, u]:
                 u += 1

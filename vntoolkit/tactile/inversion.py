@@ -9,7 +9,6 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import prange
 
 from vntoolkit.arrays import Array, Float32Array, FloatArray, LinearImage, Mask, read_only
 from vntoolkit.checks import require_mask, require_shape
@@ -116,11 +115,11 @@ class _Model(NamedTuple):
     reach: np.float32
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@njit
 def _invert(change: Array, drift: Array, model: _Model, normals: Array) -> None:
     height, width = change.shape[:2]
     filmed, found = change.reshape(height, -1), normals.reshape(height, -1)
-    for v in prange(height):
+    for v in range(height):
         rows = np.empty((6, width), np.float32)  # rgb, then m, then the normal; x; s
         place, bent = rows[3], np.zeros(model.terms.shape[1:3], np.float32)
         for u in range(width):
@@ -142,7 +141,7 @@ def _invert(change: Array, drift: Array, model: _Model, normals: Array) -> None:
             line[3 * u], line[3 * u + 1], line[3 * u + 2] = nx[u], ny[u], nz[u]
 
 
-@njit(cache=True, error_model="numpy")
+@njit
 def _take_drift(change: Array, drift: Array, v: int, height: int, rows: Array) -> None:
     """Put a row's colours, r g b r g b …, less the drift, into rows 0 to 2."""
     r, g, b = rows[0], rows[1], rows[2]
@@ -160,7 +159,7 @@ def _take_drift(change: Array, drift: Array, v: int, height: int, rows: Array) -
         b[u] = change[3 * u + 2] - (b0 + x * (b1 + x * b2))
 
 
-@njit(cache=True, error_model="numpy")
+@njit
 def _estimate_row(r: Array, g: Array, b: Array, s: Array, t: Array, inverse: Array, reach: Any) -> None:
     """Replace colours by m, shortened to `reach`, and put s of M alone into s and t."""
     one, tiny = np.float32(1), np.float32(1e-9)
@@ -175,7 +174,7 @@ def _estimate_row(r: Array, g: Array, b: Array, s: Array, t: Array, inverse: Arr
         r[u], g[u], b[u] = x * within, y * within, z * within
 
 
-@njit(cache=True, error_model="numpy")
+@njit
 def _bend_row(r: Array, g: Array, b: Array, place: Array, c: Array, s: Array) -> None:
     """Add the correction to one coordinate s of a row, by Horner's rule in m = (i, j, k) and the place x.
 
@@ -216,7 +215,7 @@ def _bend_row(r: Array, g: Array, b: Array, place: Array, c: Array, s: Array) ->
         s[u] += i * by_i + j * by_j + k * by_k
 
 
-@njit(cache=True, error_model="numpy")
+@njit
 def _normals_row(s: Array, t: Array, x: Array, y: Array, z: Array) -> None:
     one, two = np.float32(1), np.float32(2)
     steepest, tiny = np.float32(STEEPEST), np.float32(1e-12)
@@ -230,7 +229,7 @@ def _normals_row(s: Array, t: Array, x: Array, y: Array, z: Array) -> None:
         z[u] = (squared - one) * scale
 
 
-@njit(cache=True)
+@njit
 def _votes(change: Array, usable: Array, step: int) -> tuple[Array, Array]:
     """Colours (3, n) and terms of the place (6, n) of every step-th pixel of every step-th row."""
     height, width = usable.shape
@@ -250,7 +249,7 @@ def _votes(change: Array, usable: Array, step: int) -> tuple[Array, Array]:
     return values[:, :count].copy(), positions[:, :count].copy()
 
 
-@njit(cache=True, error_model="numpy")
+@njit
 def _fit_drift(values: Array, positions: Array, least_noise: float) -> Array:
     """Iteratively reweighted least squares with Geman and McClure's weights."""
     count = values.shape[1]
@@ -272,7 +271,7 @@ def _fit_drift(values: Array, positions: Array, least_noise: float) -> Array:
     return drift
 
 
-@njit(cache=True, error_model="numpy")
+@njit
 def _measure(values: Array, positions: Array, drift: Array, residual: Array) -> None:
     """Lengths (n,) of what the drift leaves of the colours."""
     x, y, xx, xy, yy = positions[1], positions[2], positions[3], positions[4], positions[5]
@@ -287,13 +286,13 @@ def _measure(values: Array, positions: Array, drift: Array, residual: Array) -> 
         residual[n] = np.sqrt(residual[n])
 
 
-@njit(cache=True, error_model="numpy")
+@njit
 def _multiply(first: Array, second: Array, out: Array) -> None:
     for n in range(len(first)):
         out[n] = first[n] * second[n]
 
 
-@njit(cache=True, error_model="numpy")
+@njit
 def _dot(first: Array, second: Array) -> float:
     total = 0.0
     for n in range(len(first)):

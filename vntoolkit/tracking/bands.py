@@ -90,7 +90,7 @@ def curl_of(band: Band) -> npt.NDArray[np.float32]:
     return np.asarray(band.gradients[..., 2] - band.gradients[..., 1])
 
 
-@njit(cache=True, fastmath=True)
+@njit
 def _pull_back(image, relief, positions, jacobians, taps, shares, rows, columns, values, total, from_contour):  # type: ignore[no-untyped-def]
     """Write image (h, w, k + 1), its weight last, at the positions into the vertices' rows and columns.
 

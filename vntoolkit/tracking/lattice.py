@@ -135,7 +135,7 @@ class LocalJacobians:
         return np.asarray((mixed @ self._inverse + np.eye(2)).reshape(-1, 4))
 
 
-@njit(cache=True)
+@njit
 def _taps(pixels, cell_px, columns, node, cell_of_node, starts, neighbours):  # type: ignore[no-untyped-def]
     """Of the four cells around each vertex, the pieces that its own reaches in two steps, or its own."""
     n = len(node)
@@ -161,7 +161,7 @@ def _taps(pixels, cell_px, columns, node, cell_of_node, starts, neighbours):  # 
     return taps, shares
 
 
-@njit(cache=True)
+@njit
 def _reached(own, wanted, cell_of_node, starts, neighbours):  # type: ignore[no-untyped-def]
     if cell_of_node[own] == wanted:
         return own

@@ -240,7 +240,7 @@ def edges_beside(
     return edges[np.linalg.norm(beside[first] - beside[second], axis=1) <= _TWO_SIDES_PX]
 
 
-@njit(cache=True)
+@njit
 def _receding(slopes, mask):  # type: ignore[no-untyped-def]
     """(h, w) pixels between two, of which one recedes towards the other: at least faintly, and surely."""
     h, w = mask.shape

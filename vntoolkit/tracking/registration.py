@@ -269,7 +269,7 @@ def _moments_of(mine: Band, theirs: Band, count: int) -> npt.NDArray[np.float64]
     return np.asarray(_moments(mine.node, count, *first, *second))
 
 
-@njit(cache=True, fastmath=True)
+@njit
 def _moments(node, count, f, df, wf, g, dg, wg):  # type: ignore[no-untyped-def]
     """(nodes, 14): A (3), H (3), b (2), Σ w |g − f|², Σ w, Σ w |∇f|², pixels, A's trace where positive, and
     the common product of curls: half of what noise of both slopes adds to A's trace, so all along one axis.
@@ -307,7 +307,7 @@ def _moments(node, count, f, df, wf, g, dg, wg):  # type: ignore[no-untyped-def]
     return out
 
 
-@njit(cache=True)
+@njit
 def _steps(terms, pixel, nodes, correlated_px):  # type: ignore[no-untyped-def]
     """Step measured (nodes, 2), gradients' common share (nodes,), what is sure of A's eigenvalues, its axis.
 
@@ -341,7 +341,7 @@ def _steps(terms, pixel, nodes, correlated_px):  # type: ignore[no-untyped-def]
     return steps, ratio, kept, axis
 
 
-@njit(cache=True)
+@njit
 def _scores(terms, steps):  # type: ignore[no-untyped-def]
     """(nodes, 4) products of what a node's own pixels add to b at the step of its window; A squared."""
     m = terms.shape[0]
@@ -355,7 +355,7 @@ def _scores(terms, steps):  # type: ignore[no-untyped-def]
     return out
 
 
-@njit(cache=True)
+@njit
 def _informed(own, terms, spread, kept, axis, nodes, accuracy):  # type: ignore[no-untyped-def]
     """Information (nodes, 3) of one node's share of its window: it tells of where its relief lies."""
     m = terms.shape[0]

@@ -159,7 +159,7 @@ def _largest(matrix: FloatArray) -> npt.NDArray[np.float64]:
     return np.asarray(half + np.sqrt(np.maximum(half**2 - np.linalg.det(matrix), 0.0)))
 
 
-@njit(cache=True)
+@njit
 def _mix_in(node, rate, features, weight, new_features, new_weight):  # type: ignore[no-untyped-def]
     """Overwrite weighted means (h, w, k) and weights (h, w): new ones come in at each node's rate."""
     h, w = node.shape

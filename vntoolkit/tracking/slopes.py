@@ -215,7 +215,7 @@ def _ray_terms(camera: Camera) -> npt.NDArray[np.float64]:
     return np.array([*scale, k[0, 2], k[1, 2]], dtype=np.float64)
 
 
-@njit(cache=True)
+@njit
 def _metric_sums(slopes, positions, scale, node, count, rays):  # type: ignore[no-untyped-def]
     h, w = slopes.shape[:2]
     n = positions.shape[0]
@@ -246,7 +246,7 @@ def _metric_sums(slopes, positions, scale, node, count, rays):  # type: ignore[n
     return out
 
 
-@njit(cache=True)
+@njit
 def _sample(image, positions):  # type: ignore[no-untyped-def]
     h, w, channels = image.shape
     out = np.empty((positions.shape[0], channels))
@@ -272,7 +272,7 @@ def _high_pass(values: npt.NDArray[np.float32], weight: npt.NDArray[np.float32])
     values /= np.maximum(weight, _LEAST_DIVISOR)[..., None]
 
 
-@njit(cache=True)
+@njit
 def gradients(values, weight, scale):  # type: ignore[no-untyped-def]
     """Central differences (h, w, 2 k), and the weight where all four neighbours are there."""
     h, w = weight.shape

@@ -4,7 +4,6 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numba import prange
 
 from vntoolkit.arrays import Array, Float32Array, LinearImage, Mask
 from vntoolkit.geometry.camera import Camera, CameraModel
@@ -63,9 +62,9 @@ def clipping_code(transfer: Transfer, table: Float32Array, bits: int) -> int:
     return min(code, 2**bits - 1)
 
 
-@njit(cache=True, parallel=True)
+@njit
 def _look_up(values, table, clip_code, rgb, clipped):  # type: ignore[no-untyped-def]  # pragma: no cover
-    for v in prange(values.shape[0]):
+    for v in range(values.shape[0]):
         for u in range(values.shape[1]):
             r, g, b = values[v, u, 0], values[v, u, 1], values[v, u, 2]
             rgb[v, u, 0] = table[r]

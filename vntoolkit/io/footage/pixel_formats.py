@@ -196,7 +196,7 @@ def _plane(frame: Any, index: int, kind: np.dtype[Any]) -> Array:
     return rows[: plane.height, : plane.width]
 
 
-@njit(cache=True)
+@njit
 def _rgb_from_planes(luma, blue, red, matrix, offset):  # type: ignore[no-untyped-def]  # pragma: no cover
     matrix, offset = matrix * 65535.0, offset * 65535.0
     rgb = np.empty((*luma.shape, 3), dtype=np.uint16)

@@ -57,7 +57,7 @@ class Capsules:
         )
 
 
-@njit(cache=True)
+@njit
 def closest_capsule(
     x: float, y: float, z: float, starts: Points, ends: Points, radii: FloatArray
 ) -> tuple[int, float, float]:
@@ -76,7 +76,7 @@ def closest_capsule(
     return best, best_along, best_distance
 
 
-@njit(cache=True)
+@njit
 def _signed_distances(points: Points, starts: Points, ends: Points, radii: FloatArray) -> Vectors:
     distances = np.empty(len(points))
     for i in range(len(points)):
@@ -206,7 +206,7 @@ def _neighbourhood(faces: Faces, count: int, rings: int) -> IntArray:
 # Compiled constraints, projected one after another (Gauss–Seidel).
 
 
-@njit(cache=True)
+@njit
 def project_edges(
     x: Points, edges: IntArray, rest: FloatArray, inverse_mass: float, compliance: float
 ) -> None:
@@ -227,7 +227,7 @@ def project_edges(
         x[j, 2] -= correction * dz
 
 
-@njit(cache=True)
+@njit
 def project_hinges(
     x: Points, hinges: IntArray, stencils: FloatArray, compliance: FloatArray, inverse_mass: float
 ) -> None:
@@ -248,7 +248,7 @@ def project_hinges(
             x[i, 2] -= step * cz
 
 
-@njit(cache=True)
+@njit
 def separate_pairs(x: Points, pairs: IntArray, thickness: float) -> None:
     """Push two parts of the cloth apart that come closer than its thickness."""
     for p in range(len(pairs)):
@@ -265,7 +265,7 @@ def separate_pairs(x: Points, pairs: IntArray, thickness: float) -> None:
             x[j, 2] -= push * dz
 
 
-@njit(cache=True)
+@njit
 def collide(
     x: Points,
     before: Points,
@@ -303,7 +303,7 @@ def collide(
             x[i, a] -= held * slip[a]
 
 
-@njit(cache=True)
+@njit
 def damp_edges(v: Points, edges: IntArray, share: float) -> None:
     """Take `share` of the velocity difference out of every edge: the yarn's inner friction."""
     for e in range(len(edges)):
