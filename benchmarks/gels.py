@@ -28,7 +28,7 @@ import vntoolkit as vt
 from benchmarks.gel_baselines import network, polynomial
 from benchmarks.pipeline import footage, options_of, rig_of
 from vntoolkit.arrays import FloatArray, Mask
-from vntoolkit.io.footage.decoding import EncodedFrame, linear_frame_from_encoded, rectify_frame
+from vntoolkit.io.footage.decoding import EncodedFrame, Rectifier, linear_frame_from_encoded
 from vntoolkit.options.reconstruction import Product, ReconstructOptions
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline.frame_processor import Carried, FrameProcessor
@@ -99,7 +99,7 @@ def errors_of(sensor: dict[str, Any], data: Path, presses: int, seed: int) -> di
 
     def as_filmed(path: Path) -> FloatArray:
         frame = vt.open_capture(path, vt.CaptureOptions(transfer=rig.transfer)).frame(0)
-        return (rectify_frame(frame, rig.gel.rectification) if rig.gel.rectification else frame).rgb
+        return (Rectifier(rig.gel.rectification).frame(frame) if rig.gel.rectification else frame).rgb
 
     untouched, ball_px = as_filmed(background), sensor["ball_radius_mm"] / gel.pixel_mm
     by_network, by_polynomial = others_of([as_filmed(p) for p in drawn[:presses]], untouched, ball_px)

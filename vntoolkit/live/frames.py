@@ -13,7 +13,7 @@ from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, NormalMap
 from vntoolkit.geometry.rectification import Rectification
 from vntoolkit.integration.integrate import DepthAnchor, DepthIntegrator
-from vntoolkit.io.footage.decoding import EncodedFrame, linear_frame_from_encoded, rectify_frame
+from vntoolkit.io.footage.decoding import EncodedFrame, Rectifier, linear_frame_from_encoded
 from vntoolkit.io.footage.mattes import PlateKey
 from vntoolkit.options.normals import ShadowMethod
 from vntoolkit.options.reconstruction import MaterialSearch, Product, ReconstructOptions
@@ -191,7 +191,7 @@ class LiveProcessor:
     def _linear_values(self, frame: EncodedFrame) -> Float32Array:
         linear = linear_frame_from_encoded(self.view.cut(frame), self.rig.transfer)
         if self.view.rectification is not None:
-            linear = rectify_frame(linear, self.view.rectification)
+            linear = Rectifier(self.view.rectification).frame(linear)
         return linear.rgb
 
 

@@ -17,7 +17,7 @@ from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.rectification import Rectification
 from vntoolkit.io.files import read_text, source_file
 from vntoolkit.io.footage.captures import Capture, CaptureOptions, open_capture
-from vntoolkit.io.footage.decoding import rectify_frame
+from vntoolkit.io.footage.decoding import Rectifier
 from vntoolkit.io.footage.image_writing import write_png
 from vntoolkit.io.footage.sequence import CaptureKind, find_capture_files
 from vntoolkit.io.results.folder import write_lock
@@ -77,7 +77,7 @@ class PressJob:
 
     def prepare(self, frame: LinearFrame) -> LinearFrame:
         """Rectify a frame where asked for."""
-        return frame if self.rectification is None else rectify_frame(frame, self.rectification)
+        return frame if self.rectification is None else Rectifier(self.rectification).frame(frame)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -251,8 +251,9 @@ def rectify_capture(
             )
         for path in earlier:
             path.unlink()
+        rectifier = Rectifier(rectification)
         for number, frame in enumerate(progress.counted(capture.frames(), "rectify", len(capture))):
-            rectified = rectify_frame(frame, rectification)
+            rectified = rectifier.frame(frame)
             encoded = encoded_from_linear(rectified.rgb.astype(np.float64), capture.transfer)
             write_png(folder / f"{number:06d}.png", np.round(encoded * 65535).astype(np.uint16))
     return len(capture)

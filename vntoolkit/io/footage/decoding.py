@@ -74,36 +74,26 @@ def _look_up(values, table, clip_code, rgb, clipped):  # type: ignore[no-untyped
 
 
 class Undistorter:
-    """Resamples the frames of one distorted camera onto `camera.without_distortion()`."""
+    """Resamples the frames of one distorted camera onto `camera`, its counterpart without distortion.
+
+    inside: (h, w) of what the distorted camera saw. changes_frames: False where there is no distortion and
+    frames pass through.
+    """
 
     def __init__(self, camera: Camera) -> None:
-        self._camera = camera
-        self._maps: tuple[Float32Array, Float32Array] | None = None
-        if camera.model is CameraModel.OPENCV:
-            pinhole = camera.without_distortion()
+        self.camera = camera.without_distortion()
+        self.changes_frames = camera.model is CameraModel.OPENCV
+        self.inside: Mask = np.ones((camera.height, camera.width), dtype=np.bool_)
+        if self.changes_frames:
             grid = camera.pixel_grid()
-            seen_at = camera.project(pinhole.unproject(grid, np.ones(grid.shape[:2])))
+            seen_at = camera.project(self.camera.unproject(grid, np.ones(grid.shape[:2])))
             columns, rows = np.moveaxis(seen_at.astype(np.float32), -1, 0)
             self._maps = np.ascontiguousarray(columns), np.ascontiguousarray(rows)
-            self.inside: Mask = np.all(
-                (seen_at >= 0) & (seen_at <= [camera.width - 1, camera.height - 1]), -1
-            )
-        else:
-            self.inside = np.ones((camera.height, camera.width), dtype=np.bool_)
-
-    @property
-    def camera(self) -> Camera:
-        """The pinhole camera of the undistorted frames."""
-        return self._camera.without_distortion()
-
-    @property
-    def changes_frames(self) -> bool:
-        """False where the camera has no distortion and frames pass through."""
-        return self._maps is not None
+            self.inside = np.all((seen_at >= 0) & (seen_at <= [camera.width - 1, camera.height - 1]), -1)
 
     def frame(self, frame: LinearFrame) -> LinearFrame:
         """Return the undistorted frame: 0 outside `inside`, clipped where a clipped pixel has a share."""
-        if self._maps is None:
+        if not self.changes_frames:
             return frame
         rgb = np.asarray(cv2.remap(np.array(frame.rgb), *self._maps, cv2.INTER_LINEAR), dtype=np.float32)
         rgb[~self.inside] = 0
@@ -112,7 +102,7 @@ class Undistorter:
 
     def mask(self, mask: Mask) -> Mask:
         """Return the undistorted mask: True where the nearest pixel was and the camera saw anything."""
-        if self._maps is None:
+        if not self.changes_frames:
             return mask
         moved = cv2.remap(mask.astype(np.uint8), *self._maps, cv2.INTER_NEAREST)
         return (moved > 0) & self.inside
@@ -124,21 +114,23 @@ class Rectifier:
     changes_frames = True
 
     def __init__(self, rectification: Rectification) -> None:
-        self._rectification = rectification
-
-    @property
-    def camera(self) -> Camera:
-        """The orthographic camera of the rectified frames."""
-        return self._rectification.camera
+        self._matrix, self._size = rectification.homography, rectification.size
 
     def frame(self, frame: LinearFrame) -> LinearFrame:
-        """Return the rectified frame."""
-        return rectify_frame(frame, self._rectification)
+        """Return the rectified frame; a pixel that draws on a clipped one, or on none, is clipped."""
+        rgb = cv2.warpPerspective(frame.rgb, self._matrix, self._size, flags=cv2.INTER_LINEAR)
+        clipped = cv2.warpPerspective(
+            frame.clipped.astype(np.float32),
+            self._matrix,
+            self._size,
+            flags=cv2.INTER_LINEAR,
+            borderValue=1.0,
+        )
+        return LinearFrame(rgb=np.asarray(rgb, np.float32), clipped=clipped > 0, number=frame.number)
 
     def mask(self, mask: Mask) -> Mask:
         """Return the rectified mask: True where the nearest pixel was."""
-        matrix, size = self._rectification.homography, self._rectification.size
-        moved = cv2.warpPerspective(mask.astype(np.uint8), matrix, size, flags=cv2.INTER_NEAREST)
+        moved = cv2.warpPerspective(mask.astype(np.uint8), self._matrix, self._size, flags=cv2.INTER_NEAREST)
         return np.asarray(moved > 0)
 
 
@@ -147,13 +139,3 @@ def resampler_of(rig: Rig) -> Undistorter | Rectifier:
     if rig.gel is not None and rig.gel.rectification is not None:
         return Rectifier(rig.gel.rectification)
     return Undistorter(rig.camera)
-
-
-def rectify_frame(frame: LinearFrame, rectification: Rectification) -> LinearFrame:
-    """Resample a frame; a pixel that draws on a clipped one, or on none, is clipped."""
-    matrix, size = rectification.homography, rectification.size
-    rgb = cv2.warpPerspective(frame.rgb, matrix, size, flags=cv2.INTER_LINEAR)
-    clipped = cv2.warpPerspective(
-        frame.clipped.astype(np.float32), matrix, size, flags=cv2.INTER_LINEAR, borderValue=1.0
-    )
-    return LinearFrame(rgb=np.asarray(rgb, np.float32), clipped=clipped > 0, number=frame.number)
