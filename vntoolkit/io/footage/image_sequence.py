@@ -13,6 +13,7 @@ from vntoolkit.io.footage.decoding import EncodedFrame
 from vntoolkit.io.footage.images import read_opaque_image
 from vntoolkit.io.footage.mosaics import DecodedImage
 from vntoolkit.io.footage.sequence import CaptureFiles
+from vntoolkit.io.footage.stated import require_as_first
 
 
 class ImageReader:
@@ -57,19 +58,11 @@ class ImageReader:
             if number not in wanted:
                 continue
             image = self._read(path)
-            values, stated = image.rgb, image.header.stated.transfer
-            height, width = values.shape[:2]
-            if (width, height) != (info.width, info.height):
-                raise BadCapture(
-                    f"{path}: frame {number} is {width}×{height}, the first one {info.width}×{info.height}: "
-                    "a capture has one size"
-                )
-            if stated != info.stated_transfer:
-                own, first = (curve or "none" for curve in (stated, info.stated_transfer))
-                raise BadCapture(
-                    f"{path}: frame {number} states the transfer curve {own}, the first one {first}: a "
-                    "capture has one curve"
-                )
+            values, name = image.rgb, f"{path}: frame {number}"
+            size, first_size = f"{values.shape[1]}×{values.shape[0]}", f"{info.width}×{info.height}"
+            require_as_first(f"{name} is", size, first_size, "size")
+            curves = (curve or "none" for curve in (image.header.stated.transfer, info.stated_transfer))
+            require_as_first(f"{name} states the transfer curve", *curves, "curve")
             yield EncodedFrame(values=values, bits=self._bits(values, path), number=number, name=str(path))
 
     def _read(self, path: Path) -> DecodedImage:

@@ -71,6 +71,15 @@ def require_heeded(stated: Stated, name: str, what: str = "pictures") -> None:
         )
 
 
+def require_as_first(frame_has: str, own: object, first: object, what: str) -> None:
+    """Raise `BadCapture` where a frame has another size or transfer curve than the first one of its capture.
+
+    frame_has: the message up to what it has.
+    """
+    if own != first:
+        raise BadCapture(f"{frame_has} {own}, the first one {first}: a capture has one {what}")
+
+
 def aspect_of_density(across: float, down: float) -> float:
     """Return a pixel's width over its height from pixels in a length; 1 where these are not said."""
     return float(down / across) if across > 0 and down > 0 else 1.0

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator
 from collections.abc import Set as AbstractSet
 from dataclasses import replace
 from fractions import Fraction
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -26,7 +26,13 @@ from vntoolkit.io.footage import pixel_formats
 from vntoolkit.io.footage.decoding import EncodedFrame
 from vntoolkit.io.footage.luma_detail import LumaDetail
 from vntoolkit.io.footage.orientation import Orientation
-from vntoolkit.io.footage.stated import TRANSFER_NAMES, Stated, require_heeded, require_opaque
+from vntoolkit.io.footage.stated import (
+    TRANSFER_NAMES,
+    Stated,
+    require_as_first,
+    require_heeded,
+    require_opaque,
+)
 from vntoolkit.io.footage.video_index import VideoIndex, av_errors, index_of_stream
 from vntoolkit.options.footage import Bayer, Demosaic
 
@@ -34,8 +40,6 @@ if TYPE_CHECKING:
     from vntoolkit.io.footage.captures import CaptureInfo, CaptureOptions
 
 _HD_HEIGHT = 720
-_INDICES: dict[tuple[str, int, int], VideoIndex] = {}  # of files by path, size and time of change, in ns
-_MOST_INDICES = 8
 _WITHOUT_INDEX = ("mpegts", "mpeg")  # of camcorders: FFmpeg finds a time in them, but no key frame
 # They open other files, which no manifest names and which may lie outside the footage's folder.
 _LISTS_OF_FILES = {"concat", "dash", "hls", "image2", "imf", "lavfi", "rtp", "rtsp", "sap", "sdp", "vobsub"}
@@ -203,19 +207,9 @@ class VideoReader:
     def index(self) -> VideoIndex:
         """Read all packets once, without decoding; a file that did not change since is not read again."""
         state = self.path.stat()
-        known = (str(self.path.absolute()), state.st_size, state.st_mtime_ns)
-        index = _INDICES.get(known)
-        if index is None:
-            container, stream = open_video(self.path)
-            with container:
-                checked = self._codec == "ffv1"
-                index = index_of_stream(container, stream, str(self.path), has_checksums=checked)
-            if self._times_are_of_decoding:
-                index = replace(index, key_frames=(0,), is_in_order=True)
-            if len(_INDICES) >= _MOST_INDICES:
-                _INDICES.clear()
-            _INDICES[known] = index
-        return index
+        known = (self.path, self.path.absolute(), state.st_size, state.st_mtime_ns)
+        index = _index_of_file(*known, has_checksums=self._codec == "ffv1")
+        return replace(index, key_frames=(0,), is_in_order=True) if self._times_are_of_decoding else index
 
     def nearest_key_frame(self, number: int) -> int:
         """Return the nearest frame that needs no other to be decoded, the earlier of two; 0 where none is."""
@@ -296,19 +290,12 @@ class VideoReader:
     def _rgb(self, frame: Any, number: int) -> Array:
         if frame.is_corrupt:
             raise self._damaged(number, "the decoder calls it corrupt")
-        width, height = self._stored_size
-        if (frame.width, frame.height) != (width, height):
-            raise BadCapture(
-                f"{self.path}: frame {number} is {frame.width}×{frame.height}, the first one "
-                f"{width}×{height}: a capture has one size"
-            )
+        name, size = f"{self.path}: frame {number}", "{}×{}".format(*self._stored_size)
+        require_as_first(f"{name} is", f"{frame.width}×{frame.height}", size, "size")
+        first = self._stated.transfer or "none"
+        curve = TRANSFER_NAMES.get(int(frame.color_trc), first)
+        require_as_first(f"{name} states the transfer curve", curve, first, "curve")
         self._require_progressive(frame.interlaced_frame)
-        curve = TRANSFER_NAMES.get(int(frame.color_trc), self._stated.transfer)
-        if curve != self._stated.transfer:
-            raise BadCapture(
-                f"{self.path}: frame {number} states the transfer curve {curve}, the first one "
-                f"{self._stated.transfer or 'none'}: a capture has one curve"
-            )
         try:
             if self._bayer is not None:
                 from vntoolkit.io.footage.mosaics import rgb_from_mosaic
@@ -323,7 +310,7 @@ class VideoReader:
             rgb = pixel_formats.rgb_from_video_frame(
                 frame,
                 self._format,
-                hd=height >= _HD_HEIGHT,
+                hd=frame.height >= _HD_HEIGHT,
                 takes_codes=self._takes_codes,
                 detail=self._detail,
             )
@@ -343,6 +330,14 @@ class VideoReader:
             f"{self.path}: frame {number} of {len(self.index.times)} is damaged: {reason}; copy the file "
             f"again, or leave the frame out, as with --frames {f'0:{number}' if number else '1:'}"
         )
+
+
+@lru_cache(maxsize=8)
+def _index_of_file(path: Path, *state: Path | int, has_checksums: bool) -> VideoIndex:
+    """Index a video. state: its absolute path, size and time of change, by which it is known again."""
+    container, stream = open_video(path)
+    with container:
+        return index_of_stream(container, stream, str(path), has_checksums=has_checksums)
 
 
 def write_video(path: Path | str, frames: Iterable[Array], frame_rate_hz: float) -> int:

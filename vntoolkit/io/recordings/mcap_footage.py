@@ -15,6 +15,7 @@ from vntoolkit.io.files import require_file
 from vntoolkit.io.footage.captures import CaptureInfo, CaptureOptions
 from vntoolkit.io.footage.decoding import EncodedFrame
 from vntoolkit.io.footage.sequence import CaptureKind
+from vntoolkit.io.footage.stated import require_as_first
 from vntoolkit.io.recordings.recorded import Stamp
 from vntoolkit.io.recordings.ros_pictures import rgb_from_message
 from vntoolkit.libraries import require_installed
@@ -135,12 +136,9 @@ class RecordingReader:
             )
         except AttributeError as error:  # a schema without a field of pictures
             raise self._damaged(error) from error
-        height, width = image.shape[:2]
-        if number and (width, height) != (self.info.width, self.info.height):
-            raise BadCapture(
-                f"{name}: is {width}×{height}, the first one {self.info.width}×{self.info.height}: a capture "
-                "has one size"
-            )
+        if number:
+            size, first = f"{image.shape[1]}×{image.shape[0]}", f"{self.info.width}×{self.info.height}"
+            require_as_first(f"{name}: is", size, first, "size")
         return image
 
     def _damaged(self, reason: object) -> BadCapture:
