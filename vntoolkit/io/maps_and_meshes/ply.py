@@ -145,10 +145,10 @@ class _Numbers:
     """The numbers behind a header, taken one after the other. Those of a text are doubles of any kind."""
 
     def __init__(self, data: bytes, at: int, order: str) -> None:
-        from vntoolkit.io.text_numbers import numbers_of_text
-
         self.is_text, self.order = order == "ascii", order
-        self.data, self.at = (numbers_of_text(data[at:]).tobytes(), 0) if self.is_text else (data, at)
+        self.data, self.at = data, at
+        if self.is_text:
+            self.data, self.at = np.fromstring(data[at:].strip(), sep=" ").tobytes(), 0
 
     def stored(self, kind: str) -> str:
         """Return how a PLY kind is stored."""

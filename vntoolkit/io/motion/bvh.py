@@ -232,8 +232,6 @@ def _read_channels(words: _Words) -> list[str]:
 
 def _read_frames(words: _Words, channels: int) -> tuple[FloatArray, float]:
     """Return the values (f, channels) below MOTION, and the time of a frame in seconds."""
-    from vntoolkit.io.text_numbers import numbers_of_text
-
     timing = _TIMING.match(words.text, words.at)
     if timing is None:
         raise words.fault("expected 'Frames: N' and 'Frame Time: SECONDS' after MOTION")
@@ -246,7 +244,7 @@ def _read_frames(words: _Words, channels: int) -> tuple[FloatArray, float]:
     if "," in numbers and "." in numbers:
         raise words.fault("the frames hold both commas and points: which of them is decimal?")
     try:
-        values = numbers_of_text(numbers.replace(",", "."))
+        values = np.fromstring(numbers.replace(",", ".").strip(), sep=" ")
     except ValueError:
         values = np.array([np.nan])
     if not np.isfinite(values).all():
