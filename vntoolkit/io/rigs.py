@@ -10,13 +10,13 @@ from typing import Annotated, Any, Literal, TypeAlias, get_args, get_origin
 import numpy as np
 from pydantic import (
     BaseModel,
-    BeforeValidator,
     ConfigDict,
     Field,
     FiniteFloat,
     ValidationError,
     field_validator,
 )
+from pydantic_core import to_jsonable_python
 
 from vntoolkit.checks import checks_kinds
 from vntoolkit.errors import BadInput, BadRig
@@ -34,11 +34,10 @@ _EXPECTED = "a rig.json of `vntoolkit calibrate`"
 # 7 gel.untouched, 8 more than 4 numbers of distortion; one without is as before
 RIG_VERSION = 8
 Version: TypeAlias = Literal[1, 2, 3, 4, 5, 6, 7, 8]
-_listed = BeforeValidator(lambda value: value.tolist() if isinstance(value, np.ndarray) else value)
-_Pair = Annotated[tuple[FiniteFloat, FiniteFloat], _listed]
-_Row = Annotated[tuple[FiniteFloat, FiniteFloat, FiniteFloat], _listed]
+_Pair: TypeAlias = tuple[FiniteFloat, FiniteFloat]
+_Row: TypeAlias = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 _SixRows = Annotated[list[_Row], Field(min_length=6, max_length=6)]
-_Matrix = Annotated[tuple[_Row, _Row, _Row], _listed]
+_Matrix: TypeAlias = tuple[_Row, _Row, _Row]
 _Power = Annotated[int, Field(ge=0, le=3)]
 _Doubt = Annotated[FiniteFloat, Field(ge=0, le=90)]
 _Fraction = Annotated[FiniteFloat, Field(ge=0, le=1)]
@@ -137,25 +136,27 @@ def rig_from_entry(entry: RigFile) -> Rig:
 
 def entry_from_rig(rig: Rig) -> RigFile:
     """Return the rig as rig.json and the manifest store it."""
-    variation, transfer, gel = rig.response.variation, rig.transfer, rig.gel
-    content: dict[str, Any] = {
-        "version": _version_of(rig),
-        "camera": entry_from_camera(rig.camera),
-        "response": vars(rig.response)
-        | {
-            "material": rig.material or None,
-            "variation": None if variation is None else _content_of_variation(variation),
-        },
-        "colour": {
-            "transfer": transfer.to_text(),
-            "black_level": transfer.black_level,
-            "white_level": transfer.white_level,
-        },
-        "quality": rig.quality,
-        "sources": rig.sources,
-        "gel": None if gel is None else _content_of_gel(gel),
-    }
-    return RigFile.model_validate(content, from_attributes=True)
+    content, transfer = _plain(rig), rig.transfer
+    response, gel = content["response"], content["gel"]
+    if variation := response["variation"]:
+        terms = zip(*(variation.pop(name) for name in ("powers", "matrices", "ambients")), strict=True)
+        names = ("powers", "matrix", "ambient")
+        variation["terms"] = [dict(zip(names, term, strict=True)) for term in terms]
+    if gel and (filmed_px := gel.pop("filmed_px")):
+        gel["rectification"]["filmed_px"] = filmed_px
+    return RigFile(
+        version=_version_of(rig),
+        camera=entry_from_camera(rig.camera),
+        response=response | {"material": rig.material or None},
+        colour=ColourEntry(
+            transfer=transfer.to_text(),
+            black_level=transfer.black_level,
+            white_level=transfer.white_level,
+        ),
+        quality=content["quality"],
+        sources=content["sources"],
+        gel=gel,
+    )
 
 
 def _version_of(rig: Rig) -> Version:
@@ -173,13 +174,8 @@ def _version_of(rig: Rig) -> Version:
 
 def camera_from_entry(entry: CameraEntry) -> Camera:
     """Return the camera of a file; raise `BadInput` for impossible numbers."""
-    return Camera(
-        model=CameraModel(entry.model),
-        width=entry.width,
-        height=entry.height,
-        matrix=np.array(entry.K),
-        distortion=np.array(entry.distortion),
-    )
+    content = entry.model_dump(exclude={"model", "K"})
+    return Camera(model=CameraModel(entry.model), matrix=np.array(entry.K), **content)
 
 
 def camera_from_content(content: Any) -> Camera:
@@ -192,13 +188,13 @@ def camera_from_content(content: Any) -> Camera:
 
 def entry_from_camera(camera: Camera) -> CameraEntry:
     """Return the camera as rig.json, the manifest and track.json store it."""
-    return CameraEntry(
-        model=camera.model.value,
-        width=camera.width,
-        height=camera.height,
-        K=camera.matrix.tolist(),
-        distortion=camera.distortion.tolist(),
-    )
+    content = _plain(camera)
+    return CameraEntry(K=content.pop("matrix"), **content)
+
+
+def _plain(value: Any) -> Any:
+    """Return a dataclass as JSON has it."""
+    return to_jsonable_python(value, fallback=lambda array: array.tolist())
 
 
 def _variation_from_entry(entry: VariationEntry) -> ResponseVariation:
@@ -211,12 +207,6 @@ def _variation_from_entry(entry: VariationEntry) -> ResponseVariation:
     )
 
 
-def _content_of_variation(variation: ResponseVariation) -> dict[str, Any]:
-    terms = zip(variation.powers, variation.matrices, variation.ambients, strict=True)
-    listed = [dict(zip(("powers", "matrix", "ambient"), term, strict=True)) for term in terms]
-    return {"centre_px": variation.centre_px, "scale_px": variation.scale_px, "terms": listed}
-
-
 def _gel_from_entry(entry: GelEntry) -> GelResponse:
     view, coefficients = entry.rectification, np.array(entry.coefficients)
     if len(coefficients) == EARLIER_TERMS:
@@ -227,13 +217,6 @@ def _gel_from_entry(entry: GelEntry) -> GelResponse:
         rectification=None if view is None else Rectification(**view.model_dump(exclude={"filmed_px"})),
         filmed_px=None if view is None else view.filmed_px,
     )
-
-
-def _content_of_gel(gel: GelResponse) -> dict[str, Any]:
-    content = {name: getattr(gel, name) for name in GelEntry.model_fields}
-    if gel.rectification is not None:
-        content["rectification"] = {**vars(gel.rectification), "filmed_px": gel.filmed_px}
-    return content
 
 
 def _indented(value: Any, indent: str = "") -> str:
@@ -284,7 +267,7 @@ class CameraEntry(Entry):
 class VariationTermEntry(Entry):
     """One monomial x^i y^j of the pixel position and what it adds to the response."""
 
-    powers: Annotated[tuple[_Power, _Power], _listed] = Field(description="i and j, together 1 to 3.")
+    powers: tuple[_Power, _Power] = Field(description="i and j, together 1 to 3.")
     matrix: _Matrix = Field(description="What it adds to M, full scale.")
     ambient: _Row = Field(default=(0.0, 0.0, 0.0), description="What it adds to the ambient, full scale.")
 
@@ -315,7 +298,7 @@ class ResponseEntry(Entry):
         default=None,
         description="Row k is the colour R, G, B of light k, full scale; left out where it is not known.",
     )
-    light_doubts_deg: Annotated[tuple[_Doubt, _Doubt, _Doubt], _listed] | None = Field(
+    light_doubts_deg: tuple[_Doubt, _Doubt, _Doubt] | None = Field(
         default=None,
         description="Standard deviations of the directions that light_colours leave to lights 0, 1, 2, where "
         "shadows on a subject told them; left out for exact (version 6).",
@@ -392,17 +375,19 @@ class GelEntry(Entry):
     centre_px: _Pair = Field(description="Pixel (u, v) where x = y = 0.")
     scale_px: FiniteFloat = Field(gt=0, description="Pixels that x = 1 means.")
     reach: FiniteFloat = Field(gt=0, description="Length to which a longer m is shortened in the products.")
-    coefficients: Annotated[list[_Pair], _listed, Field(min_length=EARLIER_TERMS, max_length=TERMS)] = Field(
+    coefficients: list[_Pair] = Field(
+        min_length=EARLIER_TERMS,
+        max_length=TERMS,
         description="Two for every product of one to four factors, at least one of them of m (before version "
         "5 one to three). Order: the products of m (m1, m2, m3, m1 m1, m1 m2, …), and for each 1, x, y, x x, "
-        "x y, y y, … up to the degree."
+        "x y, y y, … up to the degree.",
     )
-    errors_deg: Annotated[list[_Pair] | None, _listed] = Field(
+    errors_deg: list[_Pair] | None = Field(
         default=None,
         description="Tilts of the gel, growing, and the angle that nine of ten normals so tilted stay "
         "within, on presses held back from the fit, degrees; left out where it is not known.",
     )
-    untouched: Annotated[_SixRows | None, _listed] = Field(
+    untouched: _SixRows | None = Field(
         default=None,
         description="Colour of the untouched gel: coefficients (red, green, blue) of 1, x, y, x x, x y, y y, "
         "where x and y run from -1 to 1 over the picture (version 7).",

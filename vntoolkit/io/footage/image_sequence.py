@@ -61,8 +61,8 @@ class ImageReader:
             values, name = image.rgb, f"{path}: frame {number}"
             size, first_size = f"{values.shape[1]}×{values.shape[0]}", f"{info.width}×{info.height}"
             require_as_first(f"{name} is", size, first_size, "size")
-            curves = (curve or "none" for curve in (image.header.stated.transfer, info.stated_transfer))
-            require_as_first(f"{name} states the transfer curve", *curves, "curve")
+            own, first = (curve or "none" for curve in (image.header.stated.transfer, info.stated_transfer))
+            require_as_first(f"{name} states the transfer curve", own, first, "curve")
             yield EncodedFrame(values=values, bits=self._bits(values, path), number=number, name=str(path))
 
     def _read(self, path: Path) -> DecodedImage:
