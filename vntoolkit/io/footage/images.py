@@ -17,6 +17,7 @@ import cv2
 import numpy as np
 
 from vntoolkit.arrays import Array, Mask
+from vntoolkit.checks import sum_is_finite
 from vntoolkit.errors import BadCapture
 from vntoolkit.io.files import opened, require_pixels, silenced_native_output
 from vntoolkit.io.footage import mosaics
@@ -132,19 +133,15 @@ def decode_image(
 
 def _samples(data: bytes, header: ImageHeader, path: Path | str) -> Array:
     """Return samples in OpenCV's order: 8 or 16 bits, whose full scale is all ones, or finite floats."""
-    if header.planar or (header.floating and header.bits == 16):
-        return _sound_samples(_decoded_by_tifffile(data, header, path), header, path)
     if header.mosaic_at:
         grey = struct.pack("<H" if data[:2] == b"II" else ">H", _BLACK_IS_ZERO)  # which OpenCV reads
         data = data[: header.mosaic_at] + grey + data[header.mosaic_at + 2 :]
-    # a damaged file is reported by the one line below, not by OpenCV on stderr
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
-    try:
-        with silenced_native_output():
+    pixels = None
+    if not header.planar:
+        # a damaged file is reported by the one line below, not by OpenCV on stderr
+        with silenced_native_output(), contextlib.suppress(cv2.error):
             pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
-    except cv2.error:
-        pixels = None
-    if pixels is None and header.format == "TIFF":  # tiles, and compression that OpenCV does not know
+    if pixels is None and header.format == "TIFF":  # also half floats and compression that OpenCV lacks
         pixels = _decoded_by_tifffile(data, header, path)
     if pixels is None:
         raise BadCapture(f"{path}: the {header.format} file is damaged or cut off")
@@ -218,9 +215,8 @@ def _image_of_exr(path: Path | str, max_megapixels: float | None) -> DecodedImag
 
 
 def _require_numbers(pixels: Array, path: Path | str) -> None:
-    with np.errstate(invalid="ignore"):  # of infinity minus infinity
-        if math.isfinite(float(pixels.sum(dtype=np.float64))):
-            return
+    if sum_is_finite(pixels):  # a quarter of the time
+        return
     bad = ~np.isfinite(pixels)
     if bad.any():
         v, u = np.argwhere(bad)[0][:2]

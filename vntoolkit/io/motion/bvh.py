@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import codecs
 import re
-import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -288,13 +287,10 @@ def write_bvh(path: Path, motion: Motion) -> None:
     joints come between a joint and its descendants: the file lists them in that order.
     """
     turned = motion_with_axes_turned(motion)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # about a right angle, where any such pair of others is right
-        angles = [
-            Rotation.from_quat(turned.rotations[:, joint]).as_euler(_WRITTEN_ORDER, degrees=True)
-            for joint in range(len(turned.skeleton.names))
-        ]
-    values = np.round(np.concatenate([turned.root_positions, *angles], axis=1), 4) + 0.0  # no −0
+    # not about a right angle, where any such pair of others is right
+    turns = Rotation.from_quat(turned.rotations)
+    angles = turns.as_euler(_WRITTEN_ORDER, degrees=True, suppress_warnings=True).reshape(len(motion), -1)
+    values = np.round(np.concatenate([turned.root_positions, angles], axis=1), 4) + 0.0  # no −0
     with atomic_path(path) as temporary, temporary.open("w", encoding="utf-8", newline="\n") as file:
         file.write("HIERARCHY\n")
         file.writelines(_hierarchy_lines(turned.skeleton))
