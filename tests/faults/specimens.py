@@ -223,7 +223,7 @@ def _write_maps(folder: Path, rng: np.random.Generator) -> list[tuple[str, Path]
     )
     write_normal_map(folder / "n.exr", normal_map)
     write_normal_map(folder / "n.png", normal_map)
-    write_normal_map(folder / "n8.png", normal_map, bits=8)
+    write_png(folder / "n8.png", np.rint(127.5 * (normals * [1, -1, -1] + 1)).astype(np.uint8))
     write_normal_map(folder / "zip.exr", normal_map, compression=ExrCompression.ZIP)
     np.savez_compressed(folder / "n.npz", normals=normals * [1, -1, -1], mask=mask)
     for name, is_packed in (("n.mat", False), ("packed.mat", True)):

@@ -6,7 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from vntoolkit.arrays import Array, FloatArray, Flow, Mask
+from vntoolkit.arrays import Array, FloatArray, Flow, Mask, UInt16Array
 from vntoolkit.checks import require_shape
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
@@ -27,12 +27,11 @@ def write_normal_map(
     *,
     convention: NormalConvention = NormalConvention.OPENGL,
     compression: ExrCompression = ExrCompression.NONE,
-    bits: int = 16,
 ) -> None:
-    """Write a normal map: `.exr` (half RGBA, A = confidence, 0 where invalid) or `.png` (n = v/max·2 − 1).
+    """Write a normal map: `.exr` (half RGBA, A = confidence, 0 where invalid) or `.png` (n = v/65535·2 − 1).
 
     An EXR also holds the map's error in degrees, if it has one, as the channel `error_deg`.
-    bits: 8 or 16, of a PNG (RGBA, A opaque where valid). compression: of an EXR.
+    A PNG is RGBA of 16 bits, opaque where valid. compression: of an EXR.
     """
     match Path(path).suffix.lower():
         case ".exr":
@@ -42,7 +41,7 @@ def write_normal_map(
             write_exr(path, channels, attributes=attributes, compression=compression)
         case ".png":
             stored = normal_map.normals_in_camera * np.array(convention.signs, np.float32)
-            write_png(path, _png_from_normals(stored, normal_map.mask, bits))
+            write_png(path, _png_from_normals(stored, normal_map.mask))
         case suffix:
             raise BadInput(f"{path}: a normal map is written as .exr or .png, not '{suffix}'")
 
@@ -118,14 +117,11 @@ def write_flow(path: Path | str, flow_px: Flow, *, compression: ExrCompression =
     write_exr(path, {"du": flow_px[..., 0], "dv": flow_px[..., 1]}, compression=compression)
 
 
-def _png_from_normals(stored: FloatArray, mask: Mask, bits: int) -> Array:
-    if bits not in (8, 16):
-        raise BadInput(f"normal map: a PNG has 8 or 16 bits, not {bits}")
-    full = 2**bits - 1
-    rgba = np.zeros((*mask.shape, 4), dtype=np.uint8 if bits == 8 else np.uint16)
-    rgba[..., :3] = np.rint(np.clip((stored + 1.0) * (full / 2), 0, full))
-    rgba[~mask, :3] = full // 2 + 1
-    rgba[..., 3] = np.where(mask, full, 0)
+def _png_from_normals(stored: FloatArray, mask: Mask) -> UInt16Array:
+    rgba = np.zeros((*mask.shape, 4), dtype=np.uint16)
+    rgba[..., :3] = np.rint(np.clip((stored + 1.0) * (65535 / 2), 0, 65535))
+    rgba[~mask, :3] = 32768
+    rgba[..., 3] = np.where(mask, 65535, 0)
     return rgba
 
 
