@@ -248,11 +248,7 @@ def run_case(case: Case) -> str:
         faults = _outcome(case, [_start(case) for _ in range(case.times)])
         if case.strike is not None and faults == [] and case.ended != [0]:
             faults.append(f"the run after {case.strike.name} ended with {case.ended}")
-        left = [
-            path.name
-            for path in case.out.rglob("*")
-            if ".part" in path.name or path.name.startswith(".probe")
-        ]
+        left = [path.name for path in case.out.rglob("*") if ".part" in path.name]
         return "; ".join(faults + [f"left {name}" for name in left])
     except Hang as hang:
         return str(hang)

@@ -5,6 +5,7 @@ import errno
 import hashlib
 import os
 import re
+import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ import numpy as np
 from vntoolkit.arrays import ByteArray
 from vntoolkit.errors import BadInput, CannotWrite
 
-_TEMPORARY = re.compile(r"\..*\.([0-9]{1,9})\.part(?:\..*)?|\.probe\.([0-9]{1,9})")
+_TEMPORARY = re.compile(r"\..*\.([0-9]{1,9})\.part(?:\..*)?")
 _LONGEST_NAME = 255  # bytes, of every common file system
 
 
@@ -70,13 +71,10 @@ def require_writable_folder(folder: Path | str) -> Path:
     What a run that was killed left half-written there, or one folder below, is removed.
     """
     folder = Path(folder)
-    probe = folder / f".probe.{os.getpid()}"
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        try:
-            probe.write_bytes(b"0")
-        finally:
-            probe.unlink(missing_ok=True)
+        with tempfile.TemporaryFile(dir=folder) as probe:
+            probe.write(b"0")
     except OSError as error:
         raise cannot_write(folder, error) from error
     remove_leftovers(folder, _has_ended)
@@ -92,7 +90,7 @@ def remove_leftovers(folder: Path, is_left_by: Callable[[int], bool]) -> None:
         for pattern in (".*", "*/.*"):
             for path in folder.glob(pattern):
                 match = _TEMPORARY.fullmatch(path.name)
-                if match and is_left_by(int(match[1] or match[2])):
+                if match and is_left_by(int(match[1])):
                     path.unlink(missing_ok=True)
     except OSError as error:
         raise cannot_write(folder, error) from error
