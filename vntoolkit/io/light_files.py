@@ -4,7 +4,6 @@ DiLiGenT: Shi et al., A benchmark dataset and evaluation for non-Lambertian and 
 stereo, 2019 (shi2019).
 """
 
-import contextlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,6 +19,7 @@ from vntoolkit.io.files import read_text, require_inside
 from vntoolkit.io.footage.image_writing import write_png
 from vntoolkit.io.maps_and_meshes.maps import write_normal_map
 from vntoolkit.io.maps_and_meshes.masks import write_mask
+from vntoolkit.io.results.numbered_files import remove_if_empty
 from vntoolkit.options.export import NormalConvention
 
 _EXPECTED = "x y z, and perhaps red green blue, per light"
@@ -163,8 +163,7 @@ def remove_diligent(folder: Path) -> None:
     texts = ("light_directions.txt", "light_intensities.txt", "filenames.txt")
     for name in (*texts, "mask.png", "normal.png", "Normal_est.mat", *(f"{k:03d}.png" for k in range(1, 4))):
         (folder / name).unlink(missing_ok=True)
-    with contextlib.suppress(OSError):  # something of the user's is left
-        folder.rmdir()
+    remove_if_empty(folder)
 
 
 def _rows(values: FloatArray) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeAlias, get_args, get_origin
+from typing import Annotated, Any, Literal, Self, TypeAlias, get_args, get_origin
 
 import numpy as np
 from pydantic import (
@@ -62,11 +62,9 @@ def rig_from_text(text: str, name: str = "rig") -> Rig:
         raise BadRig(f"{name}: version: expected a number, got {json.dumps(stated)}")
     if stated not in range(1, RIG_VERSION + 1):
         raise BadRig(f"{name}: is of version {stated}, this program reads 1 to {RIG_VERSION}")
+    entry = RigFile.read(content, name, BadRig)
     try:
-        entry = RigFile.model_validate(content)
         return rig_from_entry(entry)
-    except ValidationError as problem:
-        raise BadRig(f"{name}: {one_line_from_validation(problem, RigFile)}") from problem
     except BadInput as problem:
         raise BadRig(f"{name}: {problem}") from problem
 
@@ -81,7 +79,7 @@ def text_from_model(model: BaseModel) -> str:
     return _indented(model.model_dump(mode="json", exclude_none=True)) + "\n"
 
 
-def one_line_from_validation(problem: ValidationError, model: type[BaseModel]) -> str:
+def _one_line_from_validation(problem: ValidationError, model: type[BaseModel]) -> str:
     """Return pydantic's first error as one line with the path of the key."""
     error = problem.errors(include_url=False)[0]
     key = _clipped(".".join(map(str, error["loc"])), 120) or "the whole file"
@@ -178,14 +176,6 @@ def camera_from_entry(entry: CameraEntry) -> Camera:
     return Camera(model=CameraModel(entry.model), matrix=np.array(entry.K), **content)
 
 
-def camera_from_content(content: Any) -> Camera:
-    """Return the camera of parsed JSON; raise `BadInput` for what is missing, unknown or impossible."""
-    try:
-        return camera_from_entry(CameraEntry.model_validate(content))
-    except ValidationError as problem:
-        raise BadInput(one_line_from_validation(problem, CameraEntry)) from problem
-
-
 def entry_from_camera(camera: Camera) -> CameraEntry:
     """Return the camera as rig.json, the manifest and track.json store it."""
     content = _plain(camera)
@@ -234,6 +224,14 @@ class Entry(BaseModel):
     """A JSON object of known keys."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True)
+
+    @classmethod
+    def read(cls, content: Any, name: str, error: type[BadInput] = BadInput) -> Self:
+        """Return the object of parsed JSON; raise `error` with one line that names the wrong key."""
+        try:
+            return cls.model_validate(content)
+        except ValidationError as problem:
+            raise error(f"{name}: {_one_line_from_validation(problem, cls)}") from problem
 
 
 class CameraEntry(Entry):

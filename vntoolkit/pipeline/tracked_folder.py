@@ -18,7 +18,7 @@ from vntoolkit.io.files import read_json
 from vntoolkit.io.results.folder import FolderKind, flat
 from vntoolkit.io.results.numbered_files import remove_if_empty
 from vntoolkit.io.results.sequences import SEQUENCE_FILES, read_mesh_sequence
-from vntoolkit.io.rigs import camera_from_content
+from vntoolkit.io.rigs import CameraEntry, camera_from_entry
 from vntoolkit.options.tracking import LOST_PX
 
 _RECORD = "track.json"
@@ -95,7 +95,7 @@ def read_tracks(folder: Path) -> Tracks:
 def recorded_camera(record: Mapping[str, Any]) -> Camera:
     """Return the camera that track.json names: it takes tracked vertices to pixels of the footage."""
     try:
-        return camera_from_content(record.get("camera"))
+        return camera_from_entry(CameraEntry.read(record.get("camera"), "camera"))
     except BadInput as problem:
         raise BadInput(
             f"{_RECORD}: names no whole camera ({problem}); run `vntoolkit track` again, with --overwrite"

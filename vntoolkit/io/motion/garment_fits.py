@@ -4,15 +4,14 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from pydantic import Field, FiniteFloat, ValidationError
+from pydantic import Field, FiniteFloat
 from scipy.spatial.transform import Rotation
 
-from vntoolkit.errors import BadInput
 from vntoolkit.geometry.garment_fit import GarmentFit, Landmark
 from vntoolkit.geometry.rigid import RigidTransform
 from vntoolkit.io.conventions import graphics_from_camera
 from vntoolkit.io.files import read_json
-from vntoolkit.io.rigs import Entry, one_line_from_validation
+from vntoolkit.io.rigs import Entry
 
 _Triple = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 _EXPECTED = "a JSON file that corrects how a garment sits"
@@ -37,11 +36,7 @@ class _Fit(Entry):
 
 def read_garment_fit(path: Path | str) -> GarmentFit:
     """Read a fit file into camera axes; angles turn about x, then y, then z. Raises `BadInput`."""
-    content = read_json(path, expected=_EXPECTED)
-    try:
-        fit = _Fit.model_validate(content)
-    except ValidationError as error:
-        raise BadInput(f"{path}: {one_line_from_validation(error, _Fit)}") from error
+    fit = _Fit.read(read_json(path, expected=_EXPECTED), str(path))
     turn = graphics_from_camera(np.eye(3))
     return GarmentFit(
         scale=fit.scale,

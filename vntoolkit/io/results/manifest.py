@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
 from vntoolkit.arrays import FloatArray
 from vntoolkit.errors import BadInput
@@ -22,13 +22,7 @@ from vntoolkit.io.files import read_json
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.results.frame_log import FRAMES_NAME, FrameLog
 from vntoolkit.io.results.numbered_files import numbers_in_words, numbers_on_disk
-from vntoolkit.io.rigs import (
-    Entry,
-    RigFile,
-    SourceEntry,
-    one_line_from_validation,
-    rig_from_entry,
-)
+from vntoolkit.io.rigs import Entry, RigFile, SourceEntry, rig_from_entry
 from vntoolkit.photometry.frame import LABEL_LEGEND
 from vntoolkit.photometry.response import with_near_lamps
 from vntoolkit.photometry.rig import Rig
@@ -236,16 +230,13 @@ def read_manifest(folder: Path | str) -> Manifest:
         found = f"holds no {MANIFEST_NAME}" if Path(folder).is_dir() else "is no folder"
         raise BadInput(f"{folder}: {found}; give a folder that `vntoolkit reconstruct` wrote")
     content = read_json(path)
-    try:
-        stated = content.get("version") if isinstance(content, dict) else MANIFEST_VERSION
-        if stated != MANIFEST_VERSION or isinstance(stated, bool):
-            raise BadInput(
-                f"{path}: is of version {stated}, this program reads {MANIFEST_VERSION}; reconstruct again, "
-                "with --overwrite"
-            )
-        return Manifest.model_validate(content)
-    except ValidationError as problem:
-        raise BadInput(f"{path}: {one_line_from_validation(problem, Manifest)}") from problem
+    stated = content.get("version") if isinstance(content, dict) else MANIFEST_VERSION
+    if stated != MANIFEST_VERSION or isinstance(stated, bool):
+        raise BadInput(
+            f"{path}: is of version {stated}, this program reads {MANIFEST_VERSION}; reconstruct again, "
+            "with --overwrite"
+        )
+    return Manifest.read(content, str(path))
 
 
 def request_of_manifest(manifest: Manifest) -> dict[str, Any]:
