@@ -13,6 +13,7 @@ from vntoolkit.errors import BadCapture
 from vntoolkit.io.files import opened, require_pixels, silenced_native_output
 from vntoolkit.io.footage.orientation import Orientation
 from vntoolkit.io.footage.stated import RAW_SUFFIXES, Stated
+from vntoolkit.libraries import require_installed
 from vntoolkit.options.footage import Bayer, Demosaic
 
 _FULL = 65535
@@ -91,7 +92,10 @@ def read_raw(
     Black level and saturation are the file's; there is no white balance, no camera matrix and no curve.
     Raises `BadCapture`.
     """
-    rawpy = _rawpy()
+    # on a Mac with an Intel processor there is none
+    require_installed("rawpy", "rawpy", "camera raw files need rawpy, or conversion to linear TIFF")
+    import rawpy
+
     algorithms = rawpy.DemosaicAlgorithm
     with opened(path, BadCapture) as stream:
         try:
@@ -259,13 +263,3 @@ def rgb_from_mosaic(
     ending = "_EA" if demosaic is Demosaic.EDGE else ""
     code = getattr(cv2, f"COLOR_Bayer{_OPENCV_NAMES[bayer]}2RGB{ending}")
     return np.asarray(cv2.cvtColor(np.ascontiguousarray(mosaic), code))
-
-
-def _rawpy() -> Any:
-    try:
-        import rawpy
-    except ImportError as problem:  # of a Mac with an Intel processor, for which there is no wheel
-        raise BadCapture(
-            "camera raw files need the library rawpy: pip install rawpy, or convert them to linear TIFF"
-        ) from problem
-    return rawpy
