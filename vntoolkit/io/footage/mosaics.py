@@ -106,7 +106,7 @@ def read_raw(
                 raw.unpack()
                 saturation = int(raw.white_level or 0)
                 black, stated = np.array(raw.black_level_per_channel), _levels_of_dng(stream, path)
-                scaled: dict[str, int] = {}
+                scaled: dict[str, Any] = {}
                 if raw.raw_type is rawpy.RawType.Flat:  # else red, green and blue are there at each pixel
                     _fill_plateau(raw.raw_image, raw.raw_colors, saturation)
                 if stated is not None:
