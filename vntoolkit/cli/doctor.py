@@ -20,13 +20,12 @@ from rich.markup import escape
 from rich.table import Table
 
 from vntoolkit import __version__, libraries
-from vntoolkit.cli.given import curve_from_text
 from vntoolkit.cli.output import print_next, unused
 from vntoolkit.cli.verb import verb
 from vntoolkit.errors import BadCapture, BadInput, escaped
 from vntoolkit.options.base import OptionalFile, as_path, named
 from vntoolkit.options.footage import Gaps, MatteOptions, PictureLimits, SensorOptions
-from vntoolkit.options.shared import BackgroundOptions
+from vntoolkit.options.shared import BackgroundOptions, CurveOptions
 from vntoolkit.shipped import with_guide
 
 if TYPE_CHECKING:
@@ -60,7 +59,7 @@ _COLOURS = {"note": "cyan", "warning": "yellow", "fatal": "red"}
 
 
 @dataclass(frozen=True, kw_only=True)
-class DoctorArguments(BackgroundOptions, MatteOptions, SensorOptions, PictureLimits):
+class DoctorArguments(CurveOptions, BackgroundOptions, MatteOptions, SensorOptions, PictureLimits):
     """What `inspect_footage` takes."""
 
     source: str | os.PathLike[str] | None = field(default=None, kw_only=False)
@@ -104,7 +103,7 @@ def inspect_footage(asked: DoctorArguments) -> CaptureReport:
     background = as_path(asked.background)
     options = CaptureOptions(
         gaps=Gaps.SKIP,
-        transfer=curve_from_text(asked.transfer),
+        transfer=asked.curve,
         sensor=asked.part(SensorOptions),
         background=None if asked.key is not None else background,
     )

@@ -11,7 +11,6 @@ from typing import Annotated
 
 import numpy as np
 
-from vntoolkit.cli.given import rectification_from_corners, rig_with_corners
 from vntoolkit.cli.output import print_next, say, unused
 from vntoolkit.cli.verb import verb
 from vntoolkit.diagnosis.finding import judge, require_known_checks
@@ -30,6 +29,7 @@ from vntoolkit.options.normals import ShadowMethod, ShadowMethodName
 from vntoolkit.options.pages import CameraOptions, ViewerOptions
 from vntoolkit.options.shared import AllowOptions, CornerOptions
 from vntoolkit.photometry.rig import Rig
+from vntoolkit.pipeline.corners import rectification_from_corners, rig_with_corners
 from vntoolkit.pipeline.gel import Gel
 
 _GREY = 128

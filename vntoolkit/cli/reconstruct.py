@@ -4,7 +4,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
-from vntoolkit.cli.given import rig_with_corners
 from vntoolkit.cli.output import print_next, say
 from vntoolkit.cli.verb import verb
 from vntoolkit.diagnosis.finding import require_known_checks
@@ -21,6 +20,7 @@ from vntoolkit.options.reconstruction import ReconstructOptions
 from vntoolkit.options.shared import AllowOptions, BackgroundOptions, CornerOptions, FrameOptions, JobOptions
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import Transfer
+from vntoolkit.pipeline.corners import rig_with_corners
 from vntoolkit.pipeline.opened_result import OpenedResult, read_result
 from vntoolkit.pipeline.reconstruct import ReconstructionSummary
 from vntoolkit.pipeline.reconstruct import reconstruct as run

@@ -1,16 +1,10 @@
-"""What texts and numbers that a verb is given stand for: a transfer curve, the corners of a gel."""
+"""What numbers that a verb is given stand for: the corners of a gel."""
 
 import dataclasses
 
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.rectification import Rectification
 from vntoolkit.photometry.rig import Rig
-from vntoolkit.photometry.transfer import Transfer
-
-
-def curve_from_text(text: str | None) -> Transfer | None:
-    """Return the curve of --transfer, None where it is not given."""
-    return None if text is None else Transfer.from_text(text)
 
 
 def rig_with_corners(
