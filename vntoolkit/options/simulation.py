@@ -146,11 +146,3 @@ _SWITCHES: dict[str, object] = {
 def nuisance_names() -> tuple[str, ...]:
     """Return the names that can be turned off one at a time."""
     return tuple(_SWITCHES)
-
-
-@dataclass(frozen=True, kw_only=True)
-class DemoOptions(Options):
-    """How large the demonstration is."""
-
-    frames: Annotated[int, within(1, 1000, "1 to 1000 frames")] = 12
-    """Frames of the garment that are filmed and reconstructed."""
