@@ -343,14 +343,13 @@ def rectify(asked: RectifyArguments) -> Path:
 
 def _rectification(asked: RectifyArguments, known: Rig | None, filmed: tuple[int, int]) -> Rectification:
     if known is None:
-        if asked.corners is None or asked.size_mm is None:
+        rectification = rectification_from_corners(asked, asked.pixel_mm)
+        if rectification is None:
             raise BadInput("rectify: expected --corners and --size-mm, or the --rig of a tactile gel")
-        rectification = rectification_from_corners(asked.corners, asked.size_mm, asked.pixel_mm)
-        assert rectification is not None  # of corners and a size
         return rectification
     if asked.pixel_mm is not None:
         raise BadInput("rectify: --pixel-mm is the rig's; leave it out, or leave out --rig")
-    known = rig_with_corners(known, asked.corners, asked.size_mm, filmed)
+    known = rig_with_corners(known, asked, filmed)
     if known.gel is None or known.gel.rectification is None:
         raise BadInput(f"{asked.rig}: holds no corners of a gel; give --corners and --size-mm")
     known.require_size(*filmed, str(asked.source))

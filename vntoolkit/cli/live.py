@@ -75,12 +75,9 @@ def _prepared(asked: LiveArguments) -> tuple[capture.LiveSource, LiveProcessor]:
     view = FrameView(crop=asked.crop)
     view.require_inside(source.width, source.height)
     if rig.gel is not None:
-        size = view.size(source.width, source.height)
-        rig = rig_with_corners(rig, asked.corners, asked.size_mm, size)
+        rig = rig_with_corners(rig, asked, view.size(source.width, source.height))
     else:
-        view = replace(
-            view, rectification=rectification_from_corners(asked.corners, asked.size_mm, asked.pixel_mm)
-        )
+        view = replace(view, rectification=rectification_from_corners(asked, asked.pixel_mm))
     rig.require_size(*view.size(source.width, source.height), source.name)
     judge(findings_from_rig(rig), asked.allow)
     plate = _background(asked)

@@ -100,8 +100,7 @@ def reconstruct(asked: ReconstructArguments) -> OpenedResult:
     if asked.corners is not None or asked.size_mm is not None:
         options = CaptureOptions(transfer=calibrated.transfer, gaps=Gaps(asked.gaps))
         info = open_capture(source, options).info
-        size = (info.width, info.height)
-        calibrated = rig_with_corners(calibrated, asked.corners, asked.size_mm, size)
+        calibrated = rig_with_corners(calibrated, asked, (info.width, info.height))
     job = asked.job(source, calibrated, Path(asked.out), asked.mask)
     if asked.transfer is not None:
         job = _with_transfer(job, Transfer.from_text(asked.transfer))

@@ -77,7 +77,7 @@ class PressJob(CornerOptions, CurveOptions, AllowOptions, SensorOptions, PressOp
     @cached_property
     def rectification(self) -> Rectification | None:
         """What takes the camera's view to the gel; None where the images are rectified."""
-        return rectification_from_corners(self.corners, self.size_mm, self.pixel_mm)
+        return rectification_from_corners(self, self.pixel_mm)
 
     @property
     def options(self) -> PressOptions:
