@@ -13,11 +13,6 @@ class FrameOptions(Options):
     frames: str | None = "::"
     """Frames to use: a:b:c for every c-th frame from a to b - 1, or one number."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.frames is None:
-            object.__setattr__(self, "frames", "::")
-
 
 @dataclass(frozen=True, kw_only=True)
 class BackgroundOptions(Options):
