@@ -264,9 +264,7 @@ def _named(result: OpenedResult, number: int) -> str:
 
 def _parts(result: OpenedResult, number: int) -> dict[str, pictures.Picture]:
     normal_map = result.normals(number)
-    parts = pictures.pictures_of_frame(
-        result, number, ground=pictures.GROUND, beside_normals=pictures.GROUND, beside_labels=_BESIDE
-    )
+    parts = pictures.pictures_of_frame(result, number, ground=pictures.GROUND, beside_labels=_BESIDE)
     if normal_map.error_deg is not None:
         parts["expected error"] = pictures.picture_of_errors(
             normal_map.error_deg, normal_map.mask, _ERRORS, pictures.GROUND
