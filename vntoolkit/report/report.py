@@ -375,7 +375,7 @@ def calibration_section(result: OpenedResult, sample: int) -> page.PageSection:
         ),
         numbers=_numbers(result),
         figures=(_cone_figure(result, sample), _response_figure(result)),
-        tables=(_source_table(result),) if result.rig.sources else (),
+        tables=(page.table_of_sources("calibrated from", result.rig),) if result.rig.sources else (),
     )
 
 
@@ -483,8 +483,3 @@ def _response_figure(result: OpenedResult) -> page.PageFigure:
         axes.figure,
         f"M: what a unit of a normal's x, y, z adds to each channel, full scale 1. Ambient: {ambient}.",
     )
-
-
-def _source_table(result: OpenedResult) -> page.PageTable:
-    rows = tuple((source.file, source.sha256[:16] + "…") for source in result.rig.sources)
-    return page.PageTable(headings=("calibrated from", "SHA-256"), rows=rows)
