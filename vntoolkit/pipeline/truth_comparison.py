@@ -67,7 +67,7 @@ def _unit_rows(matrix: FloatArray) -> FloatArray:
 
 
 def _truth_file(simulated: Path, kind: str, number: int) -> Path:
-    path = SimulationFolder(root=simulated).map_file(kind, number, ".exr")
+    path = SimulationFolder(root=simulated).map_file(kind, number)
     if not path.exists():
         raise BadInput(f"{path}: the simulated capture holds no truth for frame {number}")
     return path
