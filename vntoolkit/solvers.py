@@ -73,7 +73,7 @@ def solve_grid(
     tolerance: a Gauss–Newton step need not be solved to the end.
     """
     box, levels = grids
-    edges, x, residual = levels[0].edges, np.pad(start[box], 1), np.pad(right[box], 1)
+    edges, x, residual = levels[0].edges, _rimmed(start[box]), _rimmed(right[box])
     target = tolerance**2 * _dot(residual, residual)
     residual -= _product(edges, x)
     direction, previous = np.zeros_like(x), np.inf
@@ -102,7 +102,7 @@ def solve_grid(
 def multigrid_cycle(grids: GridHierarchy, right: Grid) -> Grid:
     """Approximate the x of L x = right by one symmetric V cycle."""
     solved = np.zeros_like(right)
-    solved[grids.box] = _cycle(grids.levels, np.pad(right[grids.box], 1))[1:-1, 1:-1]
+    solved[grids.box] = _cycle(grids.levels, _rimmed(right[grids.box]))[1:-1, 1:-1]
     return solved
 
 
@@ -121,6 +121,13 @@ def _cycle(levels: tuple[GridLevel, ...], right: Grid) -> Grid:
     return x
 
 
+def _rimmed(image: Grid) -> Grid:
+    """Return (…, h + 2, w + 2), with a rim of zeros."""
+    out = np.zeros((*image.shape[:-2], image.shape[-2] + 2, image.shape[-1] + 2), np.float32)
+    out[..., 1:-1, 1:-1] = image
+    return out
+
+
 def _dot(first: Grid, second: Grid) -> float:
     return float(np.einsum("vu,vu->v", first, second).sum(dtype=np.float64))
 
@@ -135,7 +142,8 @@ def _product(edges: Grid, x: Grid) -> Grid:
 def coarse_edges(edges: Grid) -> Grid:
     """Return half the sum of the edges between blocks of 2×2 pixels; those inside one drop out."""
     kinds, height, width = edges.shape
-    even = np.pad(edges, ((0, 0), (0, height % 2), (0, width % 2)))
+    even = np.zeros((kinds, height + height % 2, width + width % 2), np.float32)
+    even[:, :height, :width] = edges
     upper, lower = even[:, ::2], even[:, 1::2]
     out = np.empty((kinds, *upper.shape[1:2], upper.shape[2] // 2), np.float32)
     out[0] = upper[0, :, 1::2] + lower[0, :, 1::2]
@@ -150,7 +158,7 @@ def coarse_edges(edges: Grid) -> Grid:
 
 def _level_of(edges: Grid) -> GridLevel:
     """Return a grid of its edges (kinds, h, w)."""
-    padded = np.pad(edges, ((0, 0), (1, 1), (1, 1)))
+    padded = _rimmed(edges)
     inverse, shares = np.zeros_like(padded[0]), np.zeros((3, *padded.shape[1:]), np.float32)
     _level_kernel(padded, inverse, shares)
     return GridLevel(padded, inverse, shares)
@@ -246,16 +254,23 @@ def _sweep_kernel(edges: Grid, inverse: Grid, right: Grid, forward: bool, x: Gri
 
 @njit
 def _restrict_kernel(shares: Grid, residual: Grid, coarse: Grid) -> None:
-    """Add residuals to the blocks that their pixels' corrections come from: the transpose of prolonging."""
+    """Fill with the residuals of the pixels whose corrections a block gives: the transpose of prolonging."""
     h, w = residual.shape
-    for v in range(1, h - 1):
-        row, other_row = coarse[(v + 1) // 2], coarse[(v + 1) // 2 + (-1 if v % 2 else 1)]
-        left, own, beside, along = residual[v], shares[0, v], shares[1, v], shares[2, v]
-        for u in range(1, w - 1):
-            block = (u + 1) // 2
-            row[block] += own[u] * left[u]
-            row[block + (-1 if u % 2 else 1)] += beside[u] * left[u]
-            other_row[block] += along[u] * left[u]
+    within, across = np.zeros(w + 2, np.float32), np.zeros(w + 2, np.float32)
+    for block in range(1, coarse.shape[0] - 1):
+        first, last = 2 * block - 1, min(2 * block, h - 2)
+        within[:], across[:] = np.float32(0.0), np.float32(0.0)
+        for v in range(max(first - 1, 0), min(last + 2, h)):
+            left, beside = residual[v], shares[1, v]
+            share = shares[0, v] if first <= v <= last else shares[2, v]
+            for u in range(w):
+                within[u] += share[u] * left[u]
+            if first <= v <= last:
+                for u in range(w):
+                    across[u] += beside[u] * left[u]
+        to = coarse[block]
+        for k in range(1, len(to) - 1):
+            to[k] = within[2 * k - 1] + within[2 * k] + across[2 * k - 2] + across[2 * k + 1]
 
 
 @njit
@@ -265,7 +280,8 @@ def _prolong_kernel(shares: Grid, coarse: Grid, x: Grid) -> None:
     for v in range(1, h - 1):
         row, other_row = coarse[(v + 1) // 2], coarse[(v + 1) // 2 + (-1 if v % 2 else 1)]
         to, own, beside, along = x[v], shares[0, v], shares[1, v], shares[2, v]
-        for u in range(1, w - 1):
-            block = (u + 1) // 2
-            there = row[block + (-1 if u % 2 else 1)]
-            to[u] += own[u] * row[block] + beside[u] * there + along[u] * other_row[block]
+        for first in range(1, 3):  # the columns of blocks' first pixels, and of their last
+            there = row[2 * first - 2 :]  # the block before, and the one after
+            for k in range((w - first) // 2):
+                u = 2 * k + first
+                to[u] += own[u] * row[k + 1] + beside[u] * there[k] + along[u] * other_row[k + 1]

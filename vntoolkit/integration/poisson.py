@@ -190,7 +190,7 @@ class MaskedSolver:
         scaled, sums = np.empty(self._inside.shape, np.float32), np.zeros(len(depth))
         _apply_known(right, down, known_weight, depth, product, sums)
         residual = load - product
-        scale = float(np.vdot(depth, load))
+        scale = _energy(depth, load)
         largest = _largest(residual) or 1.0
         residual *= 1.0 / largest  # so that single precision holds its smallest parts
         step, energy = 0.0, np.inf
@@ -203,7 +203,7 @@ class MaskedSolver:
             left = energy * largest**2
             scale = max(scale, left) if self.iterations == 0 else scale
             if left <= tolerance**2 * scale:
-                scale = float(np.vdot(depth, load)) or 1.0  # the solution's own energy, not the start's error
+                scale = _energy(depth, load) or 1.0  # the solution's own energy, not the start's error
                 if left <= tolerance**2 * scale:
                     return
             _advance(direction, correction, energy / previous)
@@ -245,6 +245,11 @@ def _apply_known(
         known_part = known_weight * x
         out += known_part
         sums += np.einsum("vu,vu->v", known_part, x)
+
+
+def _energy(first: Float64Array, second: Float64Array) -> float:
+    """Return the sum of products, without a BLAS whose threads would spin."""
+    return float(np.einsum("vu,vu->", first, second))
 
 
 def _levels_of(right: Array, down: Array) -> GridHierarchy:
