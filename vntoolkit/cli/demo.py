@@ -10,7 +10,7 @@ from vntoolkit.options.base import File, within
 from vntoolkit.options.shared import JobOptions
 from vntoolkit.pipeline.demo import GARMENT, RECONSTRUCTION, run_demo
 from vntoolkit.pipeline.opened_result import OpenedResult, read_result
-from vntoolkit.pipeline.truth_comparison import compare_frame_with_truth
+from vntoolkit.pipeline.truth_comparison import compare_with_truth
 from vntoolkit.report.report import write_report
 from vntoolkit.report.truth_section import truth_section
 
@@ -39,7 +39,7 @@ def demo(asked: DemoArguments) -> OpenedResult:
     made, truth = root / RECONSTRUCTION, root / GARMENT
     result = read_result(made)
     page = write_report(made, root / "report.html", extra=[truth_section(result, truth)])
-    middle = compare_frame_with_truth(result, truth, result.numbers[len(result.numbers) // 2])
+    (middle,) = compare_with_truth(result, truth, [result.numbers[len(result.numbers) // 2]])
     say(
         f"normals are {middle.normals.median_deg:.1f} degrees from the truth "
         f"(median of frame {middle.number})"
