@@ -271,7 +271,10 @@ def rectify_capture(
 
 
 class PressReader:
-    """Reads the presses of a job: the footage, the untouched gel, and the change of colour between them."""
+    """Reads the presses of a job: the footage, the untouched gel, and the change of colour between them.
+
+    names: of the presses by number, of its file or, in a video, that number.
+    """
 
     def __init__(self, job: PressJob) -> None:
         self.job = job
@@ -281,15 +284,15 @@ class PressReader:
         self._dots = DotFilter(self.background.rgb)
         info = self.capture.info
         if info.kind is CaptureKind.VIDEO:
-            self._names = {number: str(number) for number in self.capture.present}
+            self.names = {number: str(number) for number in self.capture.present}
         else:
-            self._names = {n: file.name for n, file in zip(info.numbers, info.files, strict=True)}
+            self.names = {n: file.name for n, file in zip(info.numbers, info.files, strict=True)}
         self._by_hand = {name: _circle(values, f"--circle {name}") for name, *values in job.circle}
         self._labelled: dict[str, FloatArray] = {}
         self.has_folder = job.labels is not None and job.labels.is_dir()
         if job.labels is not None and not self.has_folder:
             self._labelled = _circles_of_file(job.labels)
-        names = list(self._names.values())
+        names = list(self.names.values())
         for name in (*self._by_hand, *self._labelled):
             if name not in names:
                 raise BadInput(f"circle of {name}: expected an image of {job.source}, such as {names[0]}")
@@ -300,7 +303,7 @@ class PressReader:
         if self.job.ball_radii is None:
             return {}
         paths = dict(zip(self.capture.info.numbers, self.capture.info.files, strict=False))
-        places = {name: paths.get(number, Path(name)) for number, name in self._names.items()}
+        places = {name: paths.get(number, Path(name)) for number, name in self.names.items()}
         found: dict[str, float] = {}
         for pattern, radius_mm in _radii_of_file(self.job.ball_radii):
             of = {name for name, path in places.items() if path.match(pattern) or path.match(f"{pattern}/*")}
@@ -311,10 +314,6 @@ class PressReader:
                 raise BadInput(f"{where} lists {twice[0]} again; expected each press once")
             found |= dict.fromkeys(of, radius_mm)
         return found
-
-    def name(self, number: int) -> str:
-        """The name of a press: of its file, or its number in a video."""
-        return self._names[number]
 
     def change(self, prepared: LinearFrame) -> tuple[LinearImage, Mask]:
         """The change of colour (h, w, 3) against the untouched gel, and the pixels that were filled."""
@@ -347,7 +346,7 @@ class PressReader:
 def _read(reader: PressReader, options: PressOptions, rng: np.random.Generator) -> Iterator[_ReadPress]:
     job, capture = reader.job, reader.capture
     for frame in progress.counted(capture.frames(), "read presses", len(capture.present)):
-        name = reader.name(frame.number)
+        name = reader.names[frame.number]
         samples = labelled = found = small = aspect = None
         if not reader.passes_over(name):
             change, filled = reader.change(job.prepare(frame))
