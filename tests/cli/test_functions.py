@@ -25,7 +25,7 @@ def studio(tmp_path, monkeypatch):
 
 
 def test_reconstruct_returns_the_opened_result(studio, capsys) -> None:
-    allowed = ("flat", "noise", "relatives", "outline")
+    allowed = ("flat", "noise", "matrix", "outline")
     options = {
         "shadows": "none",
         "to": "normals",

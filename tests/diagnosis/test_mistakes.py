@@ -81,7 +81,7 @@ def test_where_paint_leaves_no_surface_a_warning_says_that_m_was_not_checked(see
     woven = light * np.kron(rng.uniform(0.2, 1.0, (30, 40, 3)), np.ones((5, 5, 1)))
     for change in (np.eye(3), np.diag([-1, 1, 1])):
         found = _findings(woven, response.matrix @ change, mask=inside)
-        noted = [finding for finding in found if finding.check == "relatives"]
+        noted = [finding for finding in found if finding.check == "matrix"]
         assert [finding.level for finding in noted] == [Level.WARNING], found
         assert "could not be checked" in noted[0].problem
         assert "--single-light" in noted[0].remedy

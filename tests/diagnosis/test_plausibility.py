@@ -169,9 +169,9 @@ def test_the_commands_say_it(tmp_path, capsys, caplog):
         assert main(["reconstruct", *common, "--out", out, "--to", "normals"]) == 1
         assert "red and blue exchanged" in capsys.readouterr().err
         assert not (tmp_path / "out").exists()
-        assert main(["reconstruct", *common, "--out", out, "--to", "normals", "--allow", "relatives"]) == 0
+        assert main(["reconstruct", *common, "--out", out, "--to", "normals", "--allow", "matrix"]) == 0
     kept = read_manifest(out).known.findings
-    assert [entry.level for entry in kept if entry.check == "relatives"] == ["fatal"]
+    assert [entry.level for entry in kept if entry.check == "matrix"] == ["fatal"]
     for text in ("red and blue exchanged", "the rig was fitted on normals within 8 degrees"):
         assert text in caplog.text
     assert main(["reconstruct", *common, "--out", out, "--allow", "rumours"]) == 1

@@ -19,7 +19,7 @@ def check_channels(colours: FloatArray, reference: FloatArray, whose: str, of: s
     if order == (0, 1, 2):
         return []
     came = ", ".join(_CHANNELS[k] for k in order)
-    return [Finding.of("relatives/channels", whose=whose, of=of, came=came)]
+    return [Finding.of("matrix/channels", whose=whose, of=of, came=came)]
 
 
 def check_background(rig: Rig, colours: FloatArray) -> list[Finding]:

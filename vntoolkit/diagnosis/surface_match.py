@@ -144,7 +144,7 @@ def check_mistakes(evidence: Evidence) -> list[Finding]:
         return [_finding(as_calibrated, better)]
     if own.front_share >= 0.5:
         return _undecided(evidence, as_calibrated, _Reading.of("", "", own, mirrored=True))
-    return [Finding.of("relatives/away", share=1 - own.front_share)]
+    return [Finding.of("matrix/away", share=1 - own.front_share)]
 
 
 def paint_may_hide_surface(evidence: Evidence) -> bool:
@@ -164,7 +164,7 @@ def note_of_levelled_paint(levelled: Evidence, plain: Evidence) -> Finding | Non
     if after <= before:
         return None
     apart = levelled.rig.response.light_colours is not None  # then `reconstruct` tells the paints
-    name = "relatives/paint-told-apart" if apart else "relatives/paint"
+    name = "matrix/paint-told-apart" if apart else "matrix/paint"
     return Finding.of(name, before=before, after=after)
 
 
@@ -181,7 +181,7 @@ def _undecided(evidence: Evidence, own: _Reading, mirrored: _Reading) -> list[Fi
     if tells or abs(own.z_above(mirrored)) > _Z:
         return []
     painted = float(_seams_of_paint(evidence)[evidence.surface].mean())
-    name = "relatives/unchecked-paint" if painted > _SEVERAL_COLOURS else "relatives/unchecked"
+    name = "matrix/unchecked-paint" if painted > _SEVERAL_COLOURS else "matrix/unchecked"
     return [
         Finding.of(
             name,
@@ -503,7 +503,7 @@ def _finding(own: _Reading, better: list[_Reading]) -> Finding:
         else f"an agreement of mixed derivatives of {own.agreement:.2f} ± {own.standard_error:.2f}"
     )
     level = Level.FATAL if fatal else Level.WARNING
-    return Finding.of("relatives", level=level, best=best.name, measured=measured, fits=fits)
+    return Finding.of("matrix", level=level, best=best.name, measured=measured, fits=fits)
 
 
 def _turn_deg(sums: _Sums) -> tuple[float, float]:

@@ -304,28 +304,28 @@ TABLE: dict[str, tuple[str, str, str, str, str]] = {
         "x and y of M both look reversed (lamps turned by 180 degrees): give lamps and normals with x "
         "right, y down, z forward in rig.json, or calibrate again",
     ),
-    "relatives": (
+    "matrix": (
         WARNING,
         "the normals make no surface; the rig fits better {best}",
         "{measured}",
         "0.5 to 1",
         "{fits}",
     ),
-    "relatives/away": (
+    "matrix/away": (
         FATAL,
         "the rig's normals face away from the camera",
         "{share:.0%} of the lit pixels",
         "less than 10 %",
         "this rig is not of this footage: calibrate again with these lamps and this camera",
     ),
-    "relatives/channels": (
+    "matrix/channels": (
         FATAL,
         "{whose} fits {of} with exchanged channels",
         "{came} in place of red, green, blue",
         "red, green, blue",
         "read it as RGB; OpenCV gives BGR: frame[..., ::-1]",
     ),
-    "relatives/paint": (
+    "matrix/paint": (
         WARNING,
         "paint hides the surface: M was checked as if all of it were of one paint; white balance, gloss "
         "and black level, which lengths tell, were not checked; a rig of one material gives wrong normals "
@@ -335,7 +335,7 @@ TABLE: dict[str, tuple[str, str, str, str, str]] = {
         "0.5 to 1",
         "calibrate with one photograph per lamp (--single-light), so that paints are told apart",
     ),
-    "relatives/paint-told-apart": (
+    "matrix/paint-told-apart": (
         NOTE,
         "paint hides the surface: M was checked as if all of it were of one paint; white balance, gloss "
         "and black level, which lengths tell, were not checked",
@@ -344,7 +344,7 @@ TABLE: dict[str, tuple[str, str, str, str, str]] = {
         "0.5 to 1",
         "check them on a subject of one colour",
     ),
-    "relatives/unchecked": (
+    "matrix/unchecked": (
         NOTE,
         "M's axes, the order of the channels, the lamps' places and the curve could not be checked: the "
         "normals tell too little of a surface",
@@ -354,7 +354,7 @@ TABLE: dict[str, tuple[str, str, str, str, str]] = {
         "check the rig on a subject of one colour, or look whether the normals are convex where the "
         "subject is",
     ),
-    "relatives/unchecked-paint": (
+    "matrix/unchecked-paint": (
         WARNING,
         "M's axes, the order of the channels, the lamps' places and the curve could not be checked: the "
         "normals tell too little of a surface; a rig of one material gives wrong normals beside paint",

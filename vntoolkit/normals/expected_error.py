@@ -34,10 +34,10 @@ from vntoolkit.normals.frame_evidence import (
     LEAST_FACING,
     LONGEST,
     SHORTEST,
-    Coefficients,
-    coefficients_from_rig,
+    RigModel,
     evidence_of_frame,
     evidence_row,
+    model_of_rig,
     slow_changes_at,
 )
 from vntoolkit.normals.inversion import (
@@ -104,7 +104,7 @@ def with_expected_error(
         labels = np.ascontiguousarray(labels)
     image, clipped = np.ascontiguousarray(frame.rgb), np.ascontiguousarray(frame.clipped)
     mask = np.ascontiguousarray(normal_map.mask)
-    c = coefficients_from_rig(response, camera)
+    c = model_of_rig(response, camera)
     evidence = evidence_of_frame(image, clipped, mask, labels, c, blur_px)
     noise_deg, noise, constants = _judged(evidence, c, residual_deg, residual_of_pixels)
     error, weight = np.empty(shape, np.float32), np.empty(shape, np.float32)
@@ -173,7 +173,7 @@ def _pairs_of_lights(response: LightResponse) -> Float32Array:
 
 
 def _judged(
-    evidence: tuple[Any, Any, Any, Any], c: Coefficients, residual_deg: float, of_pixels: bool
+    evidence: tuple[Any, Any, Any, Any], c: RigModel, residual_deg: float, of_pixels: bool
 ) -> tuple[Any, Any, Any]:
     """Return the noise by cells, in degrees as the bounds are, what `evidence_row` reads, and constants.
 

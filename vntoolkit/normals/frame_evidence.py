@@ -62,7 +62,7 @@ _OF_EQUAL_ENTRIES[[0, 1], [1, 0]] = -1 / 3
 _INDEPENDENT = 100  # of the samples: neighbours share their errors
 
 
-class Coefficients(NamedTuple):
+class RigModel(NamedTuple):
     """What the loops need to know, float32.
 
     inverse: M⁻¹ at the centre, (3, 3). ambient: (3,). rays: (6,), an affine map from a pixel to its ray.
@@ -79,9 +79,9 @@ class Coefficients(NamedTuple):
     nearness: Any
 
 
-def coefficients_from_rig(
+def model_of_rig(
     response: LightResponse, camera: Camera | None, relative_albedo: float = 1.0, darkest: float = 1e-6
-) -> Coefficients:
+) -> RigModel:
     """Return what the loops need of M, the camera and the brightness that M belongs to."""
     rays = np.zeros(6)
     if camera is not None and camera.is_perspective:
@@ -90,7 +90,7 @@ def coefficients_from_rig(
     spread = response.inverse @ response.inverse.T
     along = 2.0 * spread[2, 2] / max(float(np.trace(spread) - spread[2, 2]), 1e-12)
     nearness = np.einsum("ij,akjl->akil", response.inverse, changes_of_near_lamps(response))
-    return Coefficients(
+    return RigModel(
         inverse=(response.inverse / relative_albedo).astype(np.float32),
         ambient=response.ambient.astype(np.float32),
         rays=rays.astype(np.float32),
@@ -101,7 +101,7 @@ def coefficients_from_rig(
 
 
 def evidence_of_frame(
-    image: Any, clipped: Mask, mask: Mask, labels: VisibilityLabels | None, c: Coefficients, blur_px: float
+    image: Any, clipped: Mask, mask: Mask, labels: VisibilityLabels | None, c: RigModel, blur_px: float
 ) -> tuple[Any, Any, Any, Any]:
     """Return noise, where it was seen, what `evidence_row` reads, and the ellipsoid.
 
@@ -211,7 +211,7 @@ def _rounded(values: Any) -> Any:
     return np.floor(np.asarray(values) / _GRID + 0.5) * _GRID
 
 
-def _least_length(image: Any, mask: Mask, c: Coefficients) -> np.float32:
+def _least_length(image: Any, mask: Mask, c: RigModel) -> np.float32:
     """Return the length of M⁻¹(r − a) below which a pixel is backdrop, hair, or another paint."""
     step = max(1, math.isqrt(mask.size // _GRID_PIXELS))
     some = np.s_[step // 2 :: step, step // 2 :: step]
@@ -231,7 +231,7 @@ def _least_length(image: Any, mask: Mask, c: Coefficients) -> np.float32:
 
 
 @njit
-def _light_at(image: Any, c: Coefficients, v: int, u: int) -> tuple[Any, Any, Any, Any]:
+def _light_at(image: Any, c: RigModel, v: int, u: int) -> tuple[Any, Any, Any, Any]:
     """Return r − a of a pixel, and the squared length of M⁻¹(r − a), 0 where it faces away."""
     pixel, inverse, ambient = image[v, u], c.inverse, c.ambient
     r, g, b = pixel[0] - ambient[0], pixel[1] - ambient[1], pixel[2] - ambient[2]
@@ -243,7 +243,7 @@ def _light_at(image: Any, c: Coefficients, v: int, u: int) -> tuple[Any, Any, An
 
 @njit
 def _samples_kernel(
-    image: Any, clipped: Any, mask: Mask, labels: Any, c: Coefficients, step: int, samples: Any
+    image: Any, clipped: Any, mask: Mask, labels: Any, c: RigModel, step: int, samples: Any
 ) -> int:
     """Fill (5, n) with M⁻¹(r − a) and the place u, v on a grid; return how many are lit all around."""
     height, width = mask.shape
@@ -279,9 +279,7 @@ def _samples_kernel(
 
 
 @njit
-def _slopes_row(
-    line: Any, inside: Any, c: Coefficients, v: int, first: int, p: Any, q: Any, known: Any
-) -> None:
+def _slopes_row(line: Any, inside: Any, c: RigModel, v: int, first: int, p: Any, q: Any, known: Any) -> None:
     """Put in the slopes p, q of the colours' own normals, and cos^1.5 of their inclination; 0 for no normal.
 
     A turn by ε moves the slope by ε / cos² along the inclination and ε / cos across. v, first: the place of
@@ -311,7 +309,7 @@ def _slopes_row(
 
 
 @njit
-def _curl_kernel(image: Any, mask: Mask, c: Coefficients, found: Any) -> None:
+def _curl_kernel(image: Any, mask: Mask, c: RigModel, found: Any) -> None:
     """Sum up the squared circulation, as an angle in radians, and its places, along the middle of cells."""
     width = mask.shape[1]
     for cell in range(found.shape[1]):
@@ -323,7 +321,7 @@ def _curl_kernel(image: Any, mask: Mask, c: Coefficients, found: Any) -> None:
 
 
 @njit
-def _curl_row(image: Any, mask: Mask, c: Coefficients, v: int, found: Any, places: Any) -> None:
+def _curl_row(image: Any, mask: Mask, c: RigModel, v: int, found: Any, places: Any) -> None:
     width, zero, half, one = mask.shape[1], np.float32(0.0), np.float32(0.5), np.float32(1.0)
     first, last = span_of(mask[v])
     # one array each, whose slices have no stride: eight pixels at a time

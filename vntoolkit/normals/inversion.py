@@ -108,11 +108,11 @@ def _lengths(rgb: Any, inside: Any, inverse: Any, ambient: Any) -> Any:
     return found[:count]
 
 
-def coefficients_from_response(response: LightResponse, options: InversionOptions | None) -> "Coefficients":
+def coefficients_from_response(response: LightResponse, options: InversionOptions | None) -> "AffineInverse":
     """What the loops need to know."""
     options = options or InversionOptions()
     inverse = response.inverse / options.relative_albedo
-    return Coefficients(
+    return AffineInverse(
         inverse=inverse.astype(np.float32),
         offset=(inverse @ response.ambient).astype(np.float32),
         darkest=np.float32(options.darkest),
@@ -152,7 +152,7 @@ def rows_of(image: Array) -> Array:
     return image.reshape(len(image), -1)
 
 
-class Coefficients(NamedTuple):
+class AffineInverse(NamedTuple):
     """What the loops need to know, all float32.
 
     inverse: M⁻¹ over the expected albedo, (3, 3). offset: the same times the ambient light, (3,). darkest:
@@ -182,7 +182,7 @@ class Outputs(NamedTuple):
 
 @njit
 def _normals_kernel(
-    image: Array, clipped: Array, inside: Array, maps: Any, c: Coefficients, out: Outputs
+    image: Array, clipped: Array, inside: Array, maps: Any, c: AffineInverse, out: Outputs
 ) -> None:
     """Fill `out` from linear colours (h, 3 w) with their clipped pixels (h, w)."""
     height, width = inside.shape
@@ -215,7 +215,7 @@ def read_row(line: Any, r: Any, g: Any, b: Any) -> None:
 
 
 @njit
-def _mix_row(c: Coefficients, x: Array, y: Array, z: Array) -> None:
+def _mix_row(c: AffineInverse, x: Array, y: Array, z: Array) -> None:
     """Replace the colours in x, y, z by M⁻¹(r − a)."""
     i00, i01, i02 = c.inverse[0, 0], c.inverse[0, 1], c.inverse[0, 2]
     i10, i11, i12 = c.inverse[1, 0], c.inverse[1, 1], c.inverse[1, 2]
@@ -230,7 +230,7 @@ def _mix_row(c: Coefficients, x: Array, y: Array, z: Array) -> None:
 
 @njit
 def _normalise_row(
-    x: Array, y: Array, z: Array, clipped: Array, inside: Array, c: Coefficients, weight: Array, valid: Array
+    x: Array, y: Array, z: Array, clipped: Array, inside: Array, c: AffineInverse, weight: Array, valid: Array
 ) -> None:
     """Scale one row to unit length, with its weight; 0 where there is no normal."""
     darkest, sharpness, clipped_factor = c.darkest, c.sharpness, c.clipped_factor
