@@ -249,9 +249,11 @@ def _report_head(asked: HeadArguments, rig: Rig, result: HeadCalibration) -> Non
 
 
 @dataclass(frozen=True, kw_only=True)
-class PressesArguments(RigOptions, PressJob):
+class PressesArguments(PressJob):
     """What `calibrate_presses` takes."""
 
+    out: File
+    """The rig.json to write."""
     overlay: OptionalFile = named(None)
     """Also write a picture of all presses with their circles over a labelled grid, .png or .svg."""
 

@@ -25,7 +25,8 @@ from vntoolkit.cli.verb import verb
 from vntoolkit.errors import BadCapture, BadInput, escaped
 from vntoolkit.options.base import OptionalFile, as_path, named
 from vntoolkit.options.footage import Gaps, MatteOptions, PictureLimits, SensorOptions
-from vntoolkit.options.shared import BackgroundOptions, CurveOptions
+from vntoolkit.options.shared import BackgroundOptions
+from vntoolkit.photometry.transfer import Transfer
 from vntoolkit.shipped import with_guide
 
 if TYPE_CHECKING:
@@ -59,7 +60,7 @@ _COLOURS = {"note": "cyan", "warning": "yellow", "fatal": "red"}
 
 
 @dataclass(frozen=True, kw_only=True)
-class DoctorArguments(CurveOptions, BackgroundOptions, MatteOptions, SensorOptions, PictureLimits):
+class DoctorArguments(BackgroundOptions, MatteOptions, SensorOptions, PictureLimits):
     """What `inspect_footage` takes."""
 
     source: str | os.PathLike[str] | None = field(default=None, kw_only=False)
@@ -103,7 +104,7 @@ def inspect_footage(asked: DoctorArguments) -> CaptureReport:
     background = as_path(asked.background)
     options = CaptureOptions(
         gaps=Gaps.SKIP,
-        transfer=asked.curve,
+        transfer=None if asked.transfer is None else Transfer.from_text(asked.transfer),
         sensor=asked.part(SensorOptions),
         background=None if asked.key is not None else background,
     )
