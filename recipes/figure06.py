@@ -21,7 +21,7 @@ from vntoolkit.integration.integrate import DepthIntegrator
 from vntoolkit.meshing.surface import mesh_from_depth
 from vntoolkit.normals.inversion import normals_from_frame
 from vntoolkit.normals.photometric_stereo import normals_from_lights
-from vntoolkit.options.evaluation import Alignment, AlignmentOptions
+from vntoolkit.options.evaluation import Alignment
 from vntoolkit.options.simulation import Lighting, Nuisances, SceneOptions
 from vntoolkit.report.figures import write_cumulative_errors
 from vntoolkit.report.mesh_views import View, picture_of
@@ -46,7 +46,7 @@ def white_photograph(options: SceneOptions) -> tuple[np.ndarray, np.ndarray]:
 def main(out: Path, quick: bool = False) -> None:
     """Write figure06.png, figure06_curve.svg and numbers.json into the folder `out`."""
     options = SceneOptions(width=320, height=240) if quick else SceneOptions()
-    scene, free = build_scene("jacket", options), AlignmentOptions(align=Alignment.SIMILARITY)
+    scene, free = build_scene("jacket", options), Alignment.SIMILARITY
     coloured = render_frame(scene, 0)
     truth = coloured.truth.normals
     photographs = [white_photograph(replace(options, lighting=lamp)) for lamp in LAMPS]

@@ -145,7 +145,7 @@ def materials(out: Path, work: Path, size: str) -> None:
         film / "capture.mkv", rig=film / "truth" / "rig.json", out=work / "one", to="normals",
         materials="calibrated", allow=("transfer", "white-balance"),
     )  # fmt: skip
-    many, one = (pictures_of_frame(each, number, ground=255, beside_normals=255) for each in (found, plain))
+    many, one = (pictures_of_frame(each, number, ground=255) for each in (found, plain))
     maps = [many["captured"], many.get("materials", many["captured"]), one["normals"], many["normals"]]
     names = ("captured", "materials found", "normals as of one material", "normals")
     row = dict(zip(names, cropped(maps, found.normals(number).mask, margin_px=8), strict=True))

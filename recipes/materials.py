@@ -101,7 +101,7 @@ def errors_deg(film: Path, result: OpenedResult) -> FloatArray:
 def tiles(plainly: OpenedResult, found: OpenedResult) -> dict[str, Picture]:
     """Return the pictures of the first frame by their headings."""
     first = found.numbers[0]
-    as_one, as_many = (pictures_of_frame(r, first, ground=255, beside_normals=255) for r in (plainly, found))
+    as_one, as_many = (pictures_of_frame(r, first, ground=255) for r in (plainly, found))
     pictures = {"captured": as_many["captured"], "normals, as of one material": as_one["normals"]}
     pictures["normals"] = as_many["normals"]
     pictures["materials"] = as_many.get("materials", as_many["captured"])

@@ -88,7 +88,7 @@ REFUSALS = [
     ("photometry.transfer:Transfer", {"gamma": 0.0}, r"a gamma from 0\.1 to 10, got 0"),
     ("photometry.transfer:Transfer", {"black_level": 1.0}, "black_level < white_level <= 1, got 1 and 1"),
     ("photometry.response:ResponseVariation", VARIATION, "a monomial is listed twice"),
-    ("options.simulation:DemoOptions", {"frames": 0}, "frames: expected 1 to 1000 frames, got 0"),
+    ("cli.demo:DemoArguments", {"frames": 0}, "frames: expected 1 to 1000 frames, got 0"),
     ("options.dressing:DressOptions", {"figure_height": 0.0}, "figure height: expected positive metres"),
     ("options.reconstruction:ReconstructOptions", {"distance_m": 0.0}, "a positive number of metres, got 0"),
     ("options.reconstruction:ReconstructOptions", {"smoothing": 2.0}, "a share of full scale from 0 to 1"),

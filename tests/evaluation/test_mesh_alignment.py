@@ -5,9 +5,9 @@ from scipy.spatial.transform import Rotation
 from vntoolkit.errors import BadMesh, SolverFailed
 from vntoolkit.evaluation.mesh_comparison import align_mesh, mesh_distance, vertex_distances
 from vntoolkit.geometry.mesh import Mesh
-from vntoolkit.options.evaluation import Alignment, AlignmentOptions
+from vntoolkit.options.evaluation import Alignment
 
-SIMILARITY = AlignmentOptions(align=Alignment.SIMILARITY)
+SIMILARITY = Alignment.SIMILARITY
 
 
 def relief(height: float = 1.0, size: int = 60) -> Mesh:
@@ -28,7 +28,7 @@ def moved(mesh: Mesh, scale: float) -> Mesh:
 @pytest.mark.parametrize(("free", "scale"), [(Alignment.RIGID, 1.0), (Alignment.SIMILARITY, 1.06)])
 def test_a_known_motion_is_undone(free: Alignment, scale: float, rng: np.random.Generator) -> None:
     mesh = relief()
-    aligned, motion = align_mesh(moved(mesh, scale), mesh, rng, AlignmentOptions(align=free))
+    aligned, motion = align_mesh(moved(mesh, scale), mesh, rng, free)
     assert motion.scale == pytest.approx(1 / scale, rel=1e-3)
     assert np.abs(aligned.vertices - mesh.vertices).max() < 2e-3
 
@@ -36,8 +36,8 @@ def test_a_known_motion_is_undone(free: Alignment, scale: float, rng: np.random.
 def test_rigid_leaves_the_scale_and_none_leaves_everything(rng: np.random.Generator) -> None:
     mesh = relief()
     larger = moved(mesh, 1.06)
-    _, rigid = align_mesh(larger, mesh, rng, AlignmentOptions(align=Alignment.RIGID))
-    same, _ = align_mesh(larger, mesh, rng)
+    _, rigid = align_mesh(larger, mesh, rng, Alignment.RIGID)
+    same, _ = align_mesh(larger, mesh, rng, Alignment.NONE)
     assert rigid.scale == 1.0
     assert np.array_equal(same.vertices, larger.vertices)
 

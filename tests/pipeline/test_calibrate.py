@@ -8,7 +8,6 @@ import pytest
 from tests.attached_shadow import shaded_rgb_from_normals
 from vntoolkit.__main__ import main
 from vntoolkit.evaluation.angular_error import angles_between_deg
-from vntoolkit.geometry.rectification import Rectification
 from vntoolkit.io.footage.captures import open_capture
 from vntoolkit.io.footage.image_writing import write_png
 from vntoolkit.io.footage.images import read_image
@@ -18,7 +17,6 @@ from vntoolkit.io.maps_and_meshes.masks import read_mask, write_mask
 from vntoolkit.io.rigs import read_rig
 from vntoolkit.normals.inversion import normals_from_frame
 from vntoolkit.normals.photometric_stereo import normals_from_lights
-from vntoolkit.options.calibration import PressOptions
 from vntoolkit.options.reconstruction import Product, ReconstructOptions
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
@@ -210,16 +208,17 @@ def test_the_response_of_the_gel_predicts_presses_not_seen(real_data, tmp_path) 
     for number in order[:150]:
         (tmp_path / "train" / f"cal-{number}.jpg").symlink_to(gel / f"cal-{number}.jpg")
     corners = (33.0, 58.0, 208.0, 61.0, 56.0, 250.0, 185.0, 244.0)
-    gel_plane = Rectification(corners_px=corners, width_mm=24, height_mm=34.88, pixel_mm=0.1)
     job = PressJob(
-        source=str(tmp_path / "train"),
+        tmp_path / "train",
         background=gel / "bg-0.jpg",
         labels=gel / "ball_position",
-        rectification=gel_plane,
+        corners=corners,
+        size_mm=(24.0, 34.88),
+        pixel_mm=0.1,
+        ball_radius_mm=2.42,
         label_size=(240, 320),
     )
-    options = PressOptions(ball_radius_mm=2.42, pixel_mm=0.1)
-    result = calibrate_presses(job, options)
+    options, result = job.options, calibrate_presses(job)
     rig, fit = result.rig, result.fit
     background = open_capture(job.background).frame(0).rgb
     processor = FrameProcessor(rig, ReconstructOptions(to=Product.NORMALS), background=background)

@@ -18,7 +18,6 @@ from tests.calibration.turning_egg import (
     write_frames,
 )
 from vntoolkit.errors import BadCalibration, BadInput
-from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.maps_and_meshes.meshes import read_mesh, write_mesh
 from vntoolkit.options.head import Features, HeadOptions, HeadShape, HeadSteps
 from vntoolkit.pipeline.calibrate import CalibrationJob
@@ -100,7 +99,7 @@ def test_features_place_photographs_far_apart(footage):
         features=Features.SIFT,
         head_shape=HeadShape.HULL,
     )
-    job = CalibrationJob(source=footage[0], focal_px=FOCAL, frames=FrameRange(step=2))
+    job = CalibrationJob(source=footage[0], focal_px=FOCAL, frames="::2")
     _, result = calibrate_head(job, options)
     relative = constant_rotation(result.motion, footage[1][::2])
     errors = np.rad2deg((relative.mean().inv() * relative).magnitude())
@@ -207,6 +206,6 @@ def test_tracks_lost_half_way_are_refused(tmp_path):
 
 def test_too_few_and_too_many_frames_are_refused(tmp_path):
     assert refused(tmp_path, [render_egg(turning_poses(3, 30.0)[0])] * 5).startswith("tracks: expected 12")
-    job = CalibrationJob(source=str(tmp_path / "bad"), frames=FrameRange(start=9))
+    job = CalibrationJob(source=str(tmp_path / "bad"), frames="9:")
     with pytest.raises(BadInput, match="only 5 frames"):
         calibrate_head(job, OPTIONS)

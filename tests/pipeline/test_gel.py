@@ -11,14 +11,10 @@ from tests.drawn_gel import HEIGHT, MARGIN, WIDTH, picture
 from vntoolkit.diagnosis.finding import FatalFinding
 from vntoolkit.diagnosis.press_checks import check_gel_fills_picture
 from vntoolkit.errors import BadCapture, BadInput
-from vntoolkit.geometry.rectification import Rectification
 from vntoolkit.io.footage.image_writing import write_png
 from vntoolkit.io.rigs import read_rig, write_rig
-from vntoolkit.options.calibration import PressOptions
 from vntoolkit.pipeline.calibrate_presses import PressJob, PressReader, calibrate_presses
 from vntoolkit.pipeline.gel import Gel
-
-BALL = PressOptions(ball_radius_mm=2.4, pixel_mm=0.1)
 
 
 def write_presses(folder: Path, background: np.ndarray) -> PressJob:
@@ -29,8 +25,10 @@ def write_presses(folder: Path, background: np.ndarray) -> PressJob:
     write_png(folder / "background.png", background)
     left, right, bottom = MARGIN, MARGIN + WIDTH, MARGIN + HEIGHT
     corners = tuple(map(float, (left, left, right, left, left, bottom, right, bottom)))
-    view = Rectification(corners_px=corners, width_mm=WIDTH / 10, height_mm=HEIGHT / 10, pixel_mm=0.1)
-    return PressJob(source=str(folder / "presses"), background=folder / "background.png", rectification=view)
+    return PressJob(
+        folder / "presses", background=folder / "background.png", corners=corners,
+        size_mm=(WIDTH / 10, HEIGHT / 10), pixel_mm=0.1, ball_radius_mm=2.4,
+    )  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +39,7 @@ def untouched() -> np.ndarray:
 @pytest.fixture(scope="module")
 def rig_file(tmp_path_factory: pytest.TempPathFactory, untouched: np.ndarray) -> Path:
     folder = tmp_path_factory.mktemp("gel")
-    result = calibrate_presses(write_presses(folder, untouched), BALL)
+    result = calibrate_presses(write_presses(folder, untouched))
     assert not result.findings
     write_rig(folder / "rig.json", result.rig)
     return folder / "rig.json"
@@ -71,7 +69,7 @@ def test_a_table_tells_the_balls_of_presses(tmp_path: Path, untouched: np.ndarra
     job = replace(job, ball_radii=table)
     listed = {"press-0.png": 2.41, "press-10.png": 2.39, "press-11.png": 2.39}
     assert PressReader(job).ball_radii_mm == listed
-    assert calibrate_presses(job, BALL).ball_radii_mm == (2.39, 2.4, 2.41)
+    assert calibrate_presses(job).ball_radii_mm == (2.39, 2.4, 2.41)
     table.write_text("presses 2.41")
     assert set(PressReader(job).ball_radii_mm.values()) == {2.41}
     for text, line in (
@@ -114,7 +112,7 @@ def test_what_contradicts_the_rig_is_said(rig_file, untouched, rng, caplog):
 
 def test_presses_against_a_background_that_is_a_press_are_refused(tmp_path: Path) -> None:
     rng = np.random.default_rng(3)
-    result = calibrate_presses(write_presses(tmp_path, picture(rng, 100, 50, 17)), BALL)
+    result = calibrate_presses(write_presses(tmp_path, picture(rng, 100, 50, 17)))
     (finding,) = [each for each in result.findings if each.check == "background"]
     assert "holds a dent, at u" in finding.problem
 

@@ -9,7 +9,7 @@ import pytest
 
 import vntoolkit as vt
 from tests.drawn_gel import HEIGHT, WIDTH, U, V, picture
-from tests.pipeline.test_gel import BALL, write_presses
+from tests.pipeline.test_gel import write_presses
 from vntoolkit.__main__ import main
 from vntoolkit.io.footage.image_writing import write_png
 from vntoolkit.io.footage.images import read_image
@@ -30,7 +30,7 @@ def moved(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A gel whose material moves down by a pixel a frame, under a ball that stays; reconstructed."""
     folder, rng = tmp_path_factory.mktemp("moved"), np.random.default_rng(2)
     job = write_presses(folder, picture(rng, 0, 0, 0))
-    write_rig(folder / "rig.json", calibrate_presses(job, BALL).rig)
+    write_rig(folder / "rig.json", calibrate_presses(job).rig)
     for k in range(FRAMES):
         write_png(folder / "touch" / f"{k}.png", picture(rng, 60, 90, 18, moved_px=k + 1))
     files = f"{folder}/touch --rig {folder}/rig.json --background {folder}/background.png"

@@ -20,7 +20,7 @@ from vntoolkit.geometry.motion import Motion, Skeleton
 from vntoolkit.io.footage.image_writing import write_png
 from vntoolkit.io.results.manifest import ReconstructionFolder
 from vntoolkit.io.rigs import write_rig
-from vntoolkit.options.calibration import LightColours, PressOptions
+from vntoolkit.options.calibration import LightColours
 from vntoolkit.options.reconstruction import ReconstructOptions
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline import simulate
@@ -152,15 +152,15 @@ def test_known_lights_that_make_no_rig(tmp_path: Path) -> None:
 def test_presses_without_labels_or_of_another_size(tmp_path: Path, dome_capture: DomeCapture) -> None:
     (tmp_path / "labels").mkdir()
     write_png(tmp_path / "gel.png", np.full((24, 32, 3), 9, np.uint8))
-    job = PressJob(source=dome_capture.source, background=tmp_path / "gel.png", labels=tmp_path / "labels")
-    options = PressOptions(ball_radius_mm=3.0, pixel_mm=0.1)
+    given = {"background": tmp_path / "gel.png", "labels": tmp_path / "labels"}
+    job = PressJob(dome_capture.source, **given, ball_radius_mm=3.0, pixel_mm=0.1)
     with pytest.raises(
         BadCalibration, match=r"no image of .* has a label in .*labels \(NAME\.txt for NAME\.jpg\)"
     ):
-        calibrate_presses(job, options)
+        calibrate_presses(job)
     (tmp_path / "labels" / "f0.txt").write_text("30 20 9")
     with pytest.raises(BadCalibration, match="the background has another size than the presses"):
-        calibrate_presses(job, options)
+        calibrate_presses(job)
     with pytest.raises(BadInput, match="label size: expected a width and height of 1 pixel or more, got 0 0"):
         replace(job, label_size=(0, 0))
 

@@ -151,7 +151,7 @@ def test_circles_are_drawn_over_a_grid_and_corrected_by_hand(sensor, tmp_path, c
     reader = PressReader(
         PressJob(
             source=str(sensor / "presses"), background=sensor / "background.png",
-            circles=(("press-3.png", u, v, 17.0),),
+            circle=(("press-3.png", u, v, 17.0),), ball_radius_mm=2.4,
         )
     )  # fmt: skip
     assert reader.labelled("press-3.png") == Press(u_px=u, v_px=v, radius_px=17)

@@ -158,5 +158,5 @@ def test_without_footage_or_texture_that_is_said(dome_result, tmp_path, caplog):
     assert "no colours" in caplog.text
     assert read_tracked_cloth(folder).template.uv is not None
     (folder / "track" / "texture" / "normal.png").unlink()
-    assert captured_look(folder).texture is None
+    assert captured_look(folder)[1] is None
     assert "run `vntoolkit track" in caplog.text

@@ -23,7 +23,7 @@ def server() -> Iterator[LocalServer]:
         ViewerOptions(port=free_port()),
         page,
         {"/packet": lambda query: b"the camera"},
-        {"/record": lambda query: None},
+        {"/record": lambda query: b""},
     )
     yield served
     served.close()

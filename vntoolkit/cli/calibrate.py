@@ -1,15 +1,14 @@
 """`vntoolkit calibrate …`: fit a rig to footage of a calibration object and write rig.json."""
 
 import os
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from vntoolkit.calibration.ball_lamps import LitBall
 from vntoolkit.calibration.fit import ResponseFit
-from vntoolkit.cli.given import curve_from_text, rectification_from_corners, rig_with_corners
 from vntoolkit.cli.output import (
     JSON,
     MESH,
@@ -28,88 +27,58 @@ from vntoolkit.errors import BadInput
 from vntoolkit.geometry.board_layout import BoardLayout
 from vntoolkit.geometry.rectification import Rectification
 from vntoolkit.io.footage.captures import Capture, CaptureOptions, open_capture
-from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.maps_and_meshes.meshes import write_mesh
 from vntoolkit.io.rigs import read_rig, write_rig
 from vntoolkit.libraries import require_installed
-from vntoolkit.options.base import File, Named, OptionalFile, Source, as_path, named
+from vntoolkit.options.base import File, Named, OptionalFile, Options, Source, as_path, named
 from vntoolkit.options.calibration import (
     BoardOptions,
     LightColours,
     LightColoursName,
-    PressOptions,
     ResponseFitOptions,
 )
-from vntoolkit.options.footage import MatteOptions, PictureLimits, SensorOptions
+from vntoolkit.options.footage import PictureLimits, SensorOptions
 from vntoolkit.options.head import HeadOptions
 from vntoolkit.options.shared import (
-    AllowOptions,
-    BackgroundOptions,
     CornerOptions,
     CurveOptions,
-    FrameOptions,
 )
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline import calibrate
 from vntoolkit.pipeline import calibrate_presses as pipeline
-from vntoolkit.pipeline.calibrate import CalibrationJob
+from vntoolkit.pipeline.calibrate import CalibrationJob, SphereJob
 from vntoolkit.pipeline.calibrate_head import HeadCalibration
 from vntoolkit.pipeline.calibrate_head import calibrate_head as fit_head
+from vntoolkit.pipeline.calibrate_presses import PressJob
+from vntoolkit.pipeline.corners import rectification_from_corners, rig_with_corners
 from vntoolkit.tactile.fit import GelFit
 
 
 @dataclass(frozen=True, kw_only=True)
-class FootageArguments(
-    FrameOptions, BackgroundOptions, CurveOptions, SensorOptions, AllowOptions, PictureLimits
-):
-    """What the calibrations ask of their footage."""
+class RigOptions(Options):
+    """Where a rig is written."""
 
     out: File
     """The rig.json to write."""
-    camera: OptionalFile = named(None)
-    """A rig.json whose camera is taken. Default: orthographic (sphere, lights), fitted to the same footage
-    (board), or of a focal length that is estimated from the turn, which is rough (head)."""
-    focal_px: float | None = None
-    """Focal length in pixels. Gives a pinhole camera; use it instead of --camera."""
-    single_light: tuple[Source, ...] | None = None
-    """Three photographs, each under one light alone: red, green, blue. Or one video, folder or pattern in
-    which each light is on alone for a while. They split M into its lights."""
 
-    def job(self, source: str, **more: Any) -> CalibrationJob:
-        """Return the calibration of this footage; more: further fields of it."""
-        require_known_checks(self.allow)
-        require_output(Path(self.out), JSON)
-        return CalibrationJob(
-            source=source,
-            background=as_path(self.background),
-            sensor=self.part(SensorOptions),
-            camera=self.camera,
-            focal_px=self.focal_px,
-            allow=self.allow,
-            transfer=curve_from_text(self.transfer),
-            single_light=tuple(map(str, self.single_light or ())),
-            frames=FrameRange.from_text(self.frames or "::"),
-            **more,
-        )
+
+def _require_possible(allow: tuple[str, ...], out: File) -> None:
+    """Raise `BadInput` for a check that there is not, or a rig that cannot be written."""
+    require_known_checks(allow)
+    require_output(Path(out), JSON)
 
 
 @dataclass(frozen=True, kw_only=True)
-class SphereArguments(FootageArguments, MatteOptions, ResponseFitOptions):
+class SphereArguments(RigOptions, SphereJob):
     """What `calibrate_sphere` takes."""
-
-    source: Source = field(kw_only=False)
-    """A video, an image, a folder of images, or a pattern. Several frames are averaged."""
-    mask: OptionalFile = named(None)
-    """White where the ball is: an image, or a video, a folder or a pattern with a matte for each frame.
-    Default: the outline is detected."""
 
 
 @verb(SphereArguments)
 def calibrate_sphere(asked: SphereArguments) -> Rig:
     """Calibrate on a matte ball of the material, at rest under all lights, or one after the other."""
-    job = asked.job(str(asked.source), mask=asked.mask, matting=asked.part(MatteOptions))
-    rig, result = calibrate.calibrate_sphere(job, asked.part(ResponseFitOptions))
-    _keep(Path(asked.out), rig, job, result.fit)
+    _require_possible(asked.allow, asked.out)
+    rig, result = calibrate.calibrate_sphere(asked)
+    _keep(Path(asked.out), rig, asked, result.fit)
     (u, v), radius = result.outline.centre_px, result.outline.radius_px
     report_rig(Path(asked.out), rig, f"ball at ({u:.1f}, {v:.1f}), radius {radius:.1f} px")
     if result.lit is not None:
@@ -129,19 +98,16 @@ def _report_lamps(lit: LitBall, is_perspective: bool) -> None:
 
 
 @dataclass(frozen=True, kw_only=True)
-class BoardArguments(FootageArguments, BoardOptions, ResponseFitOptions, BoardLayout):
+class BoardArguments(RigOptions, CalibrationJob, BoardOptions, ResponseFitOptions, BoardLayout):
     """What `calibrate_board` takes."""
-
-    source: Source = field(kw_only=False)
-    """A video, a folder of images, or a pattern."""
 
 
 @verb(BoardArguments)
 def calibrate_board(asked: BoardArguments) -> Rig:
     """Calibrate on the printed board, tilted in all directions, with the subject's material in its hole."""
-    job = asked.job(str(asked.source))
-    rig, result = calibrate.calibrate_board(job, asked.part(BoardLayout), asked.part(BoardOptions))
-    _keep(Path(asked.out), rig, job, result.fit)
+    _require_possible(asked.allow, asked.out)
+    rig, result = calibrate.calibrate_board(asked, asked.part(BoardLayout), asked.part(BoardOptions))
+    _keep(Path(asked.out), rig, asked, result.fit)
     error = np.median([pose.error_px for pose in result.poses])
     focal = result.camera.matrix[0, 0]
     seen = f"{len(result.poses)} poses to {error:.2f} px, focal length {focal:.0f} px"
@@ -151,12 +117,12 @@ def calibrate_board(asked: BoardArguments) -> Rig:
 
 
 @dataclass(frozen=True, kw_only=True)
-class LightsArguments(FootageArguments):
+class LightsArguments(RigOptions, CalibrationJob):
     """What `calibrate_lights` takes."""
 
     WITHOUT: ClassVar[tuple[str, ...]] = ("background", "single_light", "frames")
 
-    source: File = field(kw_only=False)
+    source: Source = field(kw_only=False)
     """A DiLiGenT folder (light_directions.txt, light_intensities.txt, filenames.txt), or a text file with a
     line per light: x y z, or x y z red green blue. x right, y up, z towards the viewer."""
     like: str | os.PathLike[str] | None = None
@@ -170,10 +136,10 @@ class LightsArguments(FootageArguments):
 @verb(LightsArguments)
 def calibrate_lights(asked: LightsArguments) -> Rig:
     """Compute a rig from known light directions and strengths."""
-    job = asked.job(str(asked.source))
+    _require_possible(asked.allow, asked.out)
     like = None if asked.like is None else str(asked.like)
-    rig = calibrate.calibrate_lights(Path(asked.source), like, asked.lights, asked.light_colours, job)
-    _keep(Path(asked.out), rig, job)
+    rig = calibrate.calibrate_lights(Path(asked.source), like, asked.lights, asked.light_colours, asked)
+    _keep(Path(asked.out), rig, asked)
     numbers = ", ".join(map(str, asked.lights))
     report_rig(Path(asked.out), rig, f"lights {numbers} of {asked.source}")
     _print_what_is_next(asked.out)
@@ -221,13 +187,11 @@ def report_rig(out: Path, rig: Rig, seen: str) -> None:
 
 
 @dataclass(frozen=True, kw_only=True)
-class HeadArguments(FootageArguments, HeadOptions):
+class HeadArguments(RigOptions, CalibrationJob, HeadOptions):
     """What `calibrate_head` takes."""
 
     WITHOUT: ClassVar[tuple[str, ...]] = ("single_light",)
 
-    source: Source = field(kw_only=False)
-    """A video, a folder of images, or a pattern."""
     mesh: OptionalFile = named(None)
     """Also write the head's mesh, .ply or .obj, with normals and the skin's colour. Its length unit is the
     distance to the camera. In .ply, `quality` is the angle in degrees that nine of ten normals stay
@@ -245,21 +209,21 @@ def calibrate_head(asked: HeadArguments) -> Rig:
     60 to 120 frames are enough.
     """
     require_installed("pycolmap", "pycolmap", "calibrate head adjusts poses by pycolmap")
-    job = asked.job(str(asked.source))
+    _require_possible(asked.allow, asked.out)
     for path, suffixes in ((asked.mesh, MESH), (asked.figure, PICTURE), (asked.report, PAGE)):
         require_output(path, suffixes)
-    rig, result = fit_head(job, asked.part(HeadOptions))
-    _keep(Path(asked.out), rig, job)
+    rig, result = fit_head(asked, asked.part(HeadOptions))
+    _keep(Path(asked.out), rig, asked)
     if asked.mesh is not None:
         write_mesh(asked.mesh, result.mesh)
     if asked.figure is not None:
         from vntoolkit.report.head import write_head_figure
 
-        write_head_figure(asked.figure, job, result)
+        write_head_figure(asked.figure, asked, result)
     if asked.report is not None:
         from vntoolkit.report.head import write_head_page
 
-        write_head_page(asked.report, job, rig, result)
+        write_head_page(asked.report, asked, rig, result)
     _report_head(asked, rig, result)
     _print_what_is_next(asked.out)
     return rig
@@ -285,29 +249,13 @@ def _report_head(asked: HeadArguments, rig: Rig, result: HeadCalibration) -> Non
 
 
 @dataclass(frozen=True, kw_only=True)
-class PressesArguments(CornerOptions, CurveOptions, AllowOptions, SensorOptions, PressOptions, PictureLimits):
+class PressesArguments(PressJob):
     """What `calibrate_presses` takes."""
 
-    source: Source = field(kw_only=False)
-    """A folder or pattern of images, one for each press."""
     out: File
     """The rig.json to write."""
-    background: File
-    """Image of the untouched gel."""
-    labels: OptionalFile = named(None)
-    """A folder of text files, NAME.txt for NAME.jpg: u v contact_radius in pixels of the rectified image; an
-    image without one is passed over. Or a text file of lines NAME.jpg u v contact_radius; the circles of
-    other images are found. Default: all contact circles are found."""
-    circle: tuple[tuple[str, float, float, float], ...] = ()
-    """Name of an image, and u v contact_radius in pixels of the rectified image: the circle of a press that
-    was passed over, or found beside its dent. May be given several times."""
-    ball_radii: OptionalFile = named(None)
-    """A text file of lines NAME radius, in millimetres, for balls of several sizes. NAME is an image, a
-    folder of images, or a pattern such as small-*.png."""
     overlay: OptionalFile = named(None)
     """Also write a picture of all presses with their circles over a labelled grid, .png or .svg."""
-    label_size: tuple[int, int] | None = None
-    """Width and height of the image that the labels refer to; default: the rectified one."""
 
 
 @verb(PressesArguments)
@@ -318,30 +266,13 @@ def calibrate_presses(asked: PressesArguments) -> Rig:
     without them. Both need --background, a picture of the untouched gel. Depth is 0 at the untouched gel and
     negative in a dent, which is nearer to the camera.
     """
-    require_known_checks(asked.allow)
-    require_output(Path(asked.out), JSON)
-    if asked.overlay is not None:
-        require_output(Path(asked.overlay), PICTURE)
-    rectification = rectification_from_corners(asked.corners, asked.size_mm, asked.pixel_mm)
-    if rectification is not None:
-        asked = replace(asked, pixel_mm=rectification.pixel_mm)
-    job = pipeline.PressJob(
-        source=str(asked.source),
-        background=Path(asked.background),
-        labels=asked.labels,
-        circles=asked.circle,
-        ball_radii=asked.ball_radii,
-        transfer=curve_from_text(asked.transfer),
-        sensor=asked.part(SensorOptions),
-        rectification=rectification,
-        label_size=asked.label_size,
-        allow=asked.allow,
-    )
+    _require_possible(asked.allow, asked.out)
+    require_output(as_path(asked.overlay), PICTURE)
     if asked.overlay is not None:  # also of presses that no rig can be fitted to
         from vntoolkit.report.presses import write_press_overlay
 
-        write_press_overlay(asked.overlay, job)
-    result = pipeline.calibrate_presses(job, asked.part(PressOptions))
+        write_press_overlay(asked.overlay, asked)
+    result = pipeline.calibrate_presses(asked)
     judge([*result.findings, *check_lamps(result.rig), *check_residual(result.rig)], asked.allow)
     write_rig(Path(asked.out), result.rig)
     report_rig(Path(asked.out), result.rig, f"presses of {asked.source}")
@@ -367,8 +298,9 @@ def _report_presses(result: pipeline.PressCalibration, asked: PressesArguments) 
         say("                    (--overlay circles.png draws them, --circle gives one a circle)")
     radii, across = (", ".join(f"{k * r:g}" for r in result.ball_radii_mm) for k in (1, 2))
     say(f"  ball              {radii} mm in radius, {across} mm across")
-    width, height = camera.width * asked.side_mm, camera.height * asked.side_mm
-    scale = f"{asked.side_mm:.4g} mm a pixel in u and v, {width:.1f}×{height:.1f} mm"
+    side_mm = asked.options.side_mm
+    width, height = camera.width * side_mm, camera.height * side_mm
+    scale = f"{side_mm:.4g} mm a pixel in u and v, {width:.1f}×{height:.1f} mm"
     say(f"  scale             {scale}; depth is 0 at rest, negative in a dent")
 
 
@@ -402,7 +334,7 @@ class RectifyArguments(CornerOptions, CurveOptions, SensorOptions, PictureLimits
 def rectify(asked: RectifyArguments) -> Path:
     """Resample footage of a tilted plane to square pixels of known size; return the folder."""
     known = None if asked.rig is None else read_rig(asked.rig)
-    curve = curve_from_text(asked.transfer) or (None if known is None else known.transfer)
+    curve = asked.curve or (None if known is None else known.transfer)
     options = CaptureOptions(transfer=curve, sensor=asked.part(SensorOptions))
     capture = open_capture(str(asked.source), options)
     rectification = _rectification(asked, known, (capture.info.width, capture.info.height))
@@ -413,14 +345,13 @@ def rectify(asked: RectifyArguments) -> Path:
 
 def _rectification(asked: RectifyArguments, known: Rig | None, filmed: tuple[int, int]) -> Rectification:
     if known is None:
-        if asked.corners is None or asked.size_mm is None:
+        rectification = rectification_from_corners(asked, asked.pixel_mm)
+        if rectification is None:
             raise BadInput("rectify: expected --corners and --size-mm, or the --rig of a tactile gel")
-        rectification = rectification_from_corners(asked.corners, asked.size_mm, asked.pixel_mm)
-        assert rectification is not None  # of corners and a size
         return rectification
     if asked.pixel_mm is not None:
         raise BadInput("rectify: --pixel-mm is the rig's; leave it out, or leave out --rig")
-    known = rig_with_corners(known, asked.corners, asked.size_mm, filmed)
+    known = rig_with_corners(known, asked, filmed)
     if known.gel is None or known.gel.rectification is None:
         raise BadInput(f"{asked.rig}: holds no corners of a gel; give --corners and --size-mm")
     known.require_size(*filmed, str(asked.source))

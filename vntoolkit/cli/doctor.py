@@ -20,13 +20,13 @@ from rich.markup import escape
 from rich.table import Table
 
 from vntoolkit import __version__, libraries
-from vntoolkit.cli.given import curve_from_text
 from vntoolkit.cli.output import print_next, unused
 from vntoolkit.cli.verb import verb
 from vntoolkit.errors import BadCapture, BadInput, escaped
 from vntoolkit.options.base import OptionalFile, as_path, named
 from vntoolkit.options.footage import Gaps, MatteOptions, PictureLimits, SensorOptions
 from vntoolkit.options.shared import BackgroundOptions
+from vntoolkit.photometry.transfer import Transfer
 from vntoolkit.shipped import with_guide
 
 if TYPE_CHECKING:
@@ -104,7 +104,7 @@ def inspect_footage(asked: DoctorArguments) -> CaptureReport:
     background = as_path(asked.background)
     options = CaptureOptions(
         gaps=Gaps.SKIP,
-        transfer=curve_from_text(asked.transfer),
+        transfer=None if asked.transfer is None else Transfer.from_text(asked.transfer),
         sensor=asked.part(SensorOptions),
         background=None if asked.key is not None else background,
     )

@@ -61,7 +61,7 @@ def dress(asked: DressArguments) -> Path:
             asked.part(DressOptions),
             None if asked.fit is None else read_garment_fit(asked.fit),
         )
-        summary = write_dressed_figure(dressed, out, captured_look(folder))
+        summary = write_dressed_figure(dressed, out, *captured_look(folder))
         if asked.preview:
             write_preview(out.parent, _preview_name(out), dressed)
     cut = f"; {dressed.cut_triangles} triangles cut" if dressed.cut_triangles else ""

@@ -29,7 +29,7 @@ from vntoolkit.geometry.point_cloud import PointCloud
 from vntoolkit.io.maps_and_meshes.meshes import read_mesh
 from vntoolkit.io.results.folder import write_lock
 from vntoolkit.options.base import File, Named, OptionalFile, Options, as_path, named, within
-from vntoolkit.options.evaluation import Alignment, AlignmentOptions, MeasuredBy, MeasuredByName
+from vntoolkit.options.evaluation import Alignment, AlignmentName, MeasuredBy, MeasuredByName
 from vntoolkit.options.export import NormalConvention, NormalConventionName
 from vntoolkit.options.footage import MeshLimits, PictureLimits
 from vntoolkit.options.shared import FrameOptions, MovedFootageOptions
@@ -107,7 +107,7 @@ def error_row(name: str, error: AngularError) -> list[str]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class MeshArguments(_Written, AlignmentOptions, MeshLimits):
+class MeshArguments(_Written, MeshLimits):
     """What `evaluate_mesh` takes."""
 
     mesh: File = field(kw_only=False)
@@ -116,6 +116,8 @@ class MeshArguments(_Written, AlignmentOptions, MeshLimits):
     """The mesh to compare with. Without it, only the quality is measured."""
     measured_by: Named[MeasuredBy, MeasuredByName] = named(MeasuredBy.EMBREE)
     """embree: nearest points by Open3D, at any distance. pymeshlab: nearest points by MeshLab."""
+    align: Named[Alignment, AlignmentName] = named(Alignment.NONE)
+    """What may move: nothing, position and orientation (rigid), or the scale too (similarity)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -172,8 +174,8 @@ def _compared(
     """Return the distances both ways, the scale of the alignment, and the distance of each vertex."""
     if why := mesh_comparison.mismatch(measured, target):
         _LOGGER.warning("%s", why)
-    generator, options = np.random.default_rng(_SEED), asked.part(AlignmentOptions)
-    aligned, motion = mesh_comparison.align_mesh(measured, target, generator, options)  # type: ignore[type-var]
+    generator = np.random.default_rng(_SEED)
+    aligned, motion = mesh_comparison.align_mesh(measured, target, generator, asked.align)  # type: ignore[type-var]
     to_reference = mesh_comparison.vertex_distances(aligned, target, asked.measured_by)
     back = mesh_comparison.vertex_distances(target, aligned, asked.measured_by)
     distance = mesh_comparison.MeshDistance.from_vertices(to_reference, back, target.diagonal)
@@ -182,14 +184,13 @@ def _compared(
 
 def _print_mesh(asked: MeshArguments, found: MeshEvaluation) -> None:
     """Print tables of the distances and of the quality."""
-    alignment = asked.part(AlignmentOptions).align
     if found.distance is not None:
         _print_distance(found.distance)
-        if alignment is Alignment.SIMILARITY:
+        if asked.align is Alignment.SIMILARITY:
             say(f"aligned with a scale of {found.scale:.4f}")
     _print_quality(found.quality)
     say(f"{asked.out}: mesh.json" + (", mesh_curve.png" if asked.reference else ""))
-    if asked.reference is not None and alignment is Alignment.NONE:
+    if asked.reference is not None and asked.align is Alignment.NONE:
         pair = (str(asked.mesh), str(asked.reference))
         print_next("evaluate", "mesh", *pair, "--align", "rigid", "--out", str(asked.out))
     else:

@@ -11,7 +11,6 @@ from typing import Annotated
 
 import numpy as np
 
-from vntoolkit.cli.given import rectification_from_corners, rig_with_corners
 from vntoolkit.cli.output import print_next, say, unused
 from vntoolkit.cli.verb import verb
 from vntoolkit.diagnosis.finding import judge, require_known_checks
@@ -30,6 +29,7 @@ from vntoolkit.options.normals import ShadowMethod, ShadowMethodName
 from vntoolkit.options.pages import CameraOptions, ViewerOptions
 from vntoolkit.options.shared import AllowOptions, CornerOptions
 from vntoolkit.photometry.rig import Rig
+from vntoolkit.pipeline.corners import rectification_from_corners, rig_with_corners
 from vntoolkit.pipeline.gel import Gel
 
 _GREY = 128
@@ -75,12 +75,9 @@ def _prepared(asked: LiveArguments) -> tuple[capture.LiveSource, LiveProcessor]:
     view = FrameView(crop=asked.crop)
     view.require_inside(source.width, source.height)
     if rig.gel is not None:
-        size = view.size(source.width, source.height)
-        rig = rig_with_corners(rig, asked.corners, asked.size_mm, size)
+        rig = rig_with_corners(rig, asked, view.size(source.width, source.height))
     else:
-        view = replace(
-            view, rectification=rectification_from_corners(asked.corners, asked.size_mm, asked.pixel_mm)
-        )
+        view = replace(view, rectification=rectification_from_corners(asked, asked.pixel_mm))
     rig.require_size(*view.size(source.width, source.height), source.name)
     judge(findings_from_rig(rig), asked.allow)
     plate = _background(asked)

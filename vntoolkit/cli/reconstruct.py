@@ -2,9 +2,8 @@
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, ClassVar
 
-from vntoolkit.cli.given import rig_with_corners
 from vntoolkit.cli.output import print_next, say
 from vntoolkit.cli.verb import verb
 from vntoolkit.diagnosis.finding import require_known_checks
@@ -21,6 +20,7 @@ from vntoolkit.options.reconstruction import ReconstructOptions
 from vntoolkit.options.shared import AllowOptions, BackgroundOptions, CornerOptions, FrameOptions, JobOptions
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import Transfer
+from vntoolkit.pipeline.corners import rig_with_corners
 from vntoolkit.pipeline.opened_result import OpenedResult, read_result
 from vntoolkit.pipeline.reconstruct import ReconstructionSummary
 from vntoolkit.pipeline.reconstruct import reconstruct as run
@@ -54,15 +54,9 @@ class RunArguments(
         """The frames."""
         return FrameRange.from_text(self.frames or "::")
 
-    def job(self, source: str, rig: Rig, folder: Path, mask: Path | None, **more: Any) -> Request:
-        """Return the reconstruction of a capture; more: further fields of it."""
+    def job(self, source: str, rig: Rig, folder: Path, mask: Path | None) -> Request:
+        """Return the reconstruction of a capture."""
         require_known_checks(self.allow)
-        given: dict[str, Any] = {
-            "allow": self.allow,
-            "gaps": self.gaps,
-            "frame_rate_hz": self.frame_rate_hz,
-            **more,
-        }
         return Request(
             source=source,
             rig=rig,
@@ -72,7 +66,9 @@ class RunArguments(
             matting=self.part(MatteOptions),
             background=as_path(self.background),
             sensor=self.part(SensorOptions),
-            **given,
+            allow=self.allow,
+            gaps=self.gaps,
+            frame_rate_hz=self.frame_rate_hz,
         )
 
 
@@ -104,16 +100,10 @@ def reconstruct(asked: ReconstructArguments) -> OpenedResult:
     if asked.corners is not None or asked.size_mm is not None:
         options = CaptureOptions(transfer=calibrated.transfer, gaps=Gaps(asked.gaps))
         info = open_capture(source, options).info
-        size = (info.width, info.height)
-        calibrated = rig_with_corners(calibrated, asked.corners, asked.size_mm, size)
-    job = asked.job(
-        source,
-        _with_transfer(calibrated, asked.transfer),
-        Path(asked.out),
-        asked.mask,
-        calibrated=calibrated.transfer,
-        allow=asked.allow if asked.transfer is None else (*asked.allow, "tag"),
-    )
+        calibrated = rig_with_corners(calibrated, asked, (info.width, info.height))
+    job = asked.job(source, calibrated, Path(asked.out), asked.mask)
+    if asked.transfer is not None:
+        job = _with_transfer(job, Transfer.from_text(asked.transfer))
     summary = run(
         job, frames=asked.range, jobs=asked.jobs, scheduler=asked.scheduler, overwrite=asked.overwrite
     )
@@ -124,11 +114,11 @@ def reconstruct(asked: ReconstructArguments) -> OpenedResult:
     return read_result(asked.out)
 
 
-def _with_transfer(rig: Rig, transfer: str | None) -> Rig:
-    if transfer is None:
-        return rig
-    curve = Transfer.from_text(transfer)
-    return replace(rig, transfer=replace(rig.transfer, curve=curve.curve, gamma=curve.gamma))
+def _with_transfer(job: Request, curve: Transfer) -> Request:
+    """Return the job with another curve than the file states, which is not judged then."""
+    own = job.rig.transfer
+    rig = replace(job.rig, transfer=replace(own, curve=curve.curve, gamma=curve.gamma))
+    return replace(job, rig=rig, calibrated=own, allow=(*job.allow, "tag"))
 
 
 def _report(summary: ReconstructionSummary) -> None:

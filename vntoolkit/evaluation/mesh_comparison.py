@@ -15,7 +15,7 @@ from vntoolkit.geometry.point_cloud import PointCloud
 from vntoolkit.geometry.rays import RayScene
 from vntoolkit.geometry.rigid import RigidTransform, Similarity
 from vntoolkit.libraries import import_pymeshlab
-from vntoolkit.options.evaluation import Alignment, AlignmentOptions, MeasuredBy
+from vntoolkit.options.evaluation import Alignment, MeasuredBy
 
 _FARTHEST = 1000.0  # times the smaller mesh's size: pymeshlab searches in steps of that, beyond for minutes
 _OTHER_SCALE = 10.0  # ratio of sizes from which two surfaces are hardly in one unit
@@ -159,16 +159,15 @@ def mismatch(mesh: Compared, reference: Compared) -> str:
 
 
 def align_mesh(
-    mesh: S, reference: Compared, rng: np.random.Generator, options: AlignmentOptions | None = None
+    mesh: S, reference: Compared, rng: np.random.Generator, align: Alignment
 ) -> tuple[S, Similarity]:
     """Align a surface to the reference by iterated closest points; they must lie near each other.
 
     Raises `BadMesh` for too few vertices, for a reference without normals, and where the two are far apart or
     of other sizes; `SolverFailed` where the surfaces leave the motion undetermined.
     """
-    options = options or AlignmentOptions()
     motion = Similarity(scale=1.0, rigid=RigidTransform())
-    if options.align is Alignment.NONE:
+    if align is Alignment.NONE:
         return mesh, motion
     for name, each in (("mesh", mesh), ("reference mesh", reference)):
         if len(positions(each)) < _FEWEST_VERTICES:
@@ -188,7 +187,7 @@ def align_mesh(
         moved = motion.apply(sampled)
         distances, nearest = tree.query(moved)
         kept = distances <= np.quantile(distances, _KEPT_SHARE)
-        step = _step(moved[kept], targets[nearest[kept]], normals[nearest[kept]], options.align)
+        step = _step(moved[kept], targets[nearest[kept]], normals[nearest[kept]], align)
         rigid = RigidTransform(
             rotation=step.rigid.rotation @ motion.rigid.rotation,
             translation=step.apply(motion.rigid.translation),

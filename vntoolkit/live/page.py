@@ -175,7 +175,7 @@ class LiveViewer:
         header["pictures"] = {name: packet.raw_picture(picture) for name, picture in pictures.items()}
         return packet.content(header)
 
-    def _toggle(self, _query: Mapping[str, str]) -> None:
+    def _toggle(self, _query: Mapping[str, str]) -> bytes:
         assert self._recorder is not None
         try:
             self._recorder.toggle()
@@ -185,6 +185,7 @@ class LiveViewer:
         with self._changed:
             for page in self._pages.values():
                 page.captioned_s = 0.0
+        return b""
 
     def _status(self, page: _Page, contact: Contact | None = None) -> dict[str, Any] | None:
         """Return what is to be said, a few times a second; a warning stays for a while."""

@@ -1,10 +1,7 @@
 """How results are compared with a reference."""
 
-from dataclasses import dataclass
 from enum import Enum
 from typing import Literal, TypeAlias
-
-from vntoolkit.options.base import Named, Options, named
 
 
 class MeasuredBy(Enum):
@@ -25,9 +22,4 @@ class Alignment(Enum):
     SIMILARITY = "similarity"  # and one scale: that of a perspective camera's depth
 
 
-@dataclass(frozen=True, kw_only=True)
-class AlignmentOptions(Options):
-    """How meshes are aligned."""
-
-    align: Named[Alignment, Literal["none", "rigid", "similarity"]] = named(Alignment.NONE)
-    """What may move: nothing, position and orientation (rigid), or the scale too (similarity)."""
+AlignmentName: TypeAlias = Literal["none", "rigid", "similarity"]

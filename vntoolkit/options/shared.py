@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from vntoolkit.options.base import OptionalFile, Options, named
+from vntoolkit.photometry.transfer import Transfer
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -11,11 +12,6 @@ class FrameOptions(Options):
 
     frames: str | None = "::"
     """Frames to use: a:b:c for every c-th frame from a to b - 1, or one number."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.frames is None:
-            object.__setattr__(self, "frames", "::")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,6 +30,11 @@ class CurveOptions(Options):
     transfer: str | None = None
     """Transfer curve of the footage: linear, srgb, bt709, gamma:G, pq, hlg, slog3, vlog, clog3 or logc3.
     Default: the curve that the file states, else linear."""
+
+    @property
+    def curve(self) -> Transfer | None:
+        """The curve that is given."""
+        return None if self.transfer is None else Transfer.from_text(self.transfer)
 
 
 @dataclass(frozen=True, kw_only=True)

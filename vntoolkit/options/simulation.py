@@ -111,10 +111,7 @@ class Nuisances(Options):
     @classmethod
     def none(cls) -> "Nuisances":
         """Return the model of equation 1: every nuisance off (attached shadow remains)."""
-        nuisances = cls()
-        for name in _SWITCHES:
-            nuisances = nuisances.without(name)
-        return nuisances
+        return replace(cls(), **_SWITCHES)  # type: ignore[arg-type]
 
     def without(self, name: str) -> "Nuisances":
         """Return these with one turned off. name: a boolean field's, or `blur_px`, or `transfer`."""
@@ -124,15 +121,9 @@ class Nuisances(Options):
 
     def only(self, name: str) -> "Nuisances":
         """Return the model of equation 1 with only this nuisance on (noise with its levels)."""
-        alone = replace(
-            Nuisances.none(),
-            bits=self.bits,
-            full_well_electrons=self.full_well_electrons,
-            read_noise_electrons=self.read_noise_electrons,
-        )
-        if name not in _SWITCHES:
-            raise BadInput(f"nuisance '{name}': expected one of {', '.join(_SWITCHES)}")
-        return replace(alone, **{name: getattr(self, name)})
+        self.without(name)  # refuses another name
+        off = {other: value for other, value in _SWITCHES.items() if other != name}
+        return replace(self, **off)  # type: ignore[arg-type]
 
 
 # nuisance -> the value that turns it off
@@ -146,11 +137,3 @@ _SWITCHES: dict[str, object] = {
 def nuisance_names() -> tuple[str, ...]:
     """Return the names that can be turned off one at a time."""
     return tuple(_SWITCHES)
-
-
-@dataclass(frozen=True, kw_only=True)
-class DemoOptions(Options):
-    """How large the demonstration is."""
-
-    frames: Annotated[int, within(1, 1000, "1 to 1000 frames")] = 12
-    """Frames of the garment that are filmed and reconstructed."""

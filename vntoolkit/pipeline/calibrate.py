@@ -36,91 +36,105 @@ from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.footage.mattes import open_mattes
 from vntoolkit.io.light_files import read_lights
 from vntoolkit.io.rigs import read_rig
+from vntoolkit.options.base import OptionalFile, Source, as_path, named
 from vntoolkit.options.calibration import BoardOptions, LightColours, ResponseFitOptions
-from vntoolkit.options.footage import Gaps, MatteOptions, SensorOptions
+from vntoolkit.options.footage import Gaps, MatteOptions, PictureLimits, SensorOptions
+from vntoolkit.options.shared import AllowOptions, BackgroundOptions, CurveOptions, FrameOptions
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.rig import FitQuality, Rig
-from vntoolkit.photometry.transfer import Transfer
 
 logger = logging.getLogger(__name__)
 _SEED = 0  # calibrating the same footage twice gives the same rig
 
 
 @dataclass(frozen=True, kw_only=True)
-class CalibrationJob:
-    """What a calibration reads.
+class CalibrationJob(
+    FrameOptions, BackgroundOptions, CurveOptions, SensorOptions, AllowOptions, PictureLimits
+):
+    """What the calibrations ask of their footage."""
 
-    source: footage of the calibration object. mask: white where the object is, as `open_mattes` takes it.
-    matting: how mattes become masks. background: image under ambient light only. transfer: curve of the
-    footage, None for the one that it states, else linear. camera: a rig.json whose camera is taken.
-    focal_px: focal length in pixels of a pinhole camera instead; with neither the camera is orthographic
-    (ball) or fitted (board). single_light: photographs of one material under the red, the green and the
-    blue light alone, or one source in which each lamp is on alone for a while, or empty. frames: which
-    frames count. allow: checks whose fatal findings do not stop the calibration. sensor: how samples of
-    the sensor itself are read.
-    """
-
-    source: str
-    mask: Path | None = None
-    matting: MatteOptions = field(default_factory=MatteOptions)
-    background: Path | None = None
-    transfer: Transfer | None = None
-    camera: Path | None = None
+    source: Source = field(kw_only=False)
+    """A video, a folder of images, or a pattern."""
+    camera: OptionalFile = named(None)
+    """A rig.json whose camera is taken. Default: orthographic (sphere, lights), fitted to the same footage
+    (board), or of a focal length that is estimated from the turn, which is rough (head)."""
     focal_px: float | None = None
-    single_light: tuple[str, ...] = ()
-    frames: FrameRange = field(default_factory=FrameRange)
-    allow: tuple[str, ...] = ()
-    sensor: SensorOptions = field(default_factory=SensorOptions)
+    """Focal length in pixels. Gives a pinhole camera; use it instead of --camera."""
+    single_light: tuple[Source, ...] | None = None
+    """Three photographs, each under one light alone: red, green, blue. Or one video, folder or pattern in
+    which each light is on alone for a while. They split M into its lights."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.camera is not None and self.focal_px is not None:
             raise BadInput("calibrate: expected --camera or --focal-px, got both")
-        if len(self.single_light) not in (0, 1, 3):
+        if len(self.single_light or ()) not in (0, 1, 3):
             raise BadInput(
                 "--single-light: expected three photographs (red, green, blue), or one video, folder or "
-                f"pattern in which each lamp is on alone for a while, got {len(self.single_light)} sources"
+                f"pattern in which each lamp is on alone for a while, got {len(self.single_light or ())} "
+                "sources"
             )
 
-    def open(self, source: str | Path | None = None, gaps: Gaps = Gaps.SKIP) -> Capture:
+    @property
+    def subtracted(self) -> Path | None:
+        """Image of the light that is subtracted from every frame."""
+        return as_path(self.background)
+
+    def open(self, source: Source | None = None, gaps: Gaps = Gaps.SKIP) -> Capture:
         """Open the footage, or another source, with the job's transfer curve and background.
 
         gaps: photographs of a ball or board need no order, and bad ones are often thrown away.
         """
         options = CaptureOptions(
-            transfer=self.transfer,
-            background=None if self.matting.key is not None else self.background,
-            gaps=gaps,
-            sensor=self.sensor,
+            transfer=self.curve, background=self.subtracted, gaps=gaps, sensor=self.part(SensorOptions)
         )
-        return open_capture(source or self.source, options)
+        return open_capture(str(source or self.source), options)
+
+    def numbers(self, capture: Capture) -> range:
+        """Return which of its frames count."""
+        return FrameRange.from_text(self.frames or "::").numbers(capture.info.frame_count)
 
     def judge(self, capture: Capture, mask: Mask | None = None) -> None:
         """Raise `FatalFinding` for footage that no rig can come of. mask: (h, w) of the object."""
-        numbers = self.frames.numbers(capture.info.frame_count)
-        judge(findings_from_calibration_footage(capture, mask, numbers), self.allow)
+        judge(findings_from_calibration_footage(capture, mask, self.numbers(capture)), self.allow)
 
     def camera_for(self, info: CaptureInfo) -> Camera | None:
         """The camera that the user gave, checked against the footage, or None."""
         if self.camera is not None:
             rig = read_rig(self.camera)
-            rig.require_size(info.width, info.height, self.source)
+            rig.require_size(info.width, info.height, str(self.source))
             return rig.camera
         if self.focal_px is None:
             return None
         return Camera.pinhole(width=info.width, height=info.height, focal_px=self.focal_px)
 
 
-def calibrate_sphere(job: CalibrationJob, options: ResponseFitOptions) -> tuple[Rig, SphereCalibration]:
+@dataclass(frozen=True, kw_only=True)
+class SphereJob(CalibrationJob, MatteOptions, ResponseFitOptions):
+    """What the calibration on a ball asks."""
+
+    source: Source = field(kw_only=False)
+    """A video, an image, a folder of images, or a pattern. Several frames are averaged."""
+    mask: OptionalFile = named(None)
+    """White where the ball is: an image, or a video, a folder or a pattern with a matte for each frame.
+    Default: the outline is detected."""
+
+    @property
+    def subtracted(self) -> Path | None:
+        """Image of the light that is subtracted: a clean plate is not."""
+        return None if self.key is not None else super().subtracted
+
+
+def calibrate_sphere(job: SphereJob) -> tuple[Rig, SphereCalibration]:
     """Fit a rig to footage of a ball at rest; the frames are averaged.
 
     Where each lamp is on alone in some frames, M is that of the three together, and their colours, their
     distances and the light of the room are known.
     """
     capture = job.open()
-    info = capture.info
-    numbers = job.frames.numbers(info.frame_count)
-    mattes = open_mattes(capture, job.mask, job.matting, job.background)
+    info, numbers, options = capture.info, job.numbers(capture), job.part(ResponseFitOptions)
+    mattes = open_mattes(capture, job.mask, job.part(MatteOptions), as_path(job.background))
     mask = mattes.still
     if mattes.changes:  # the ball is at rest: where every frame has it
         for shown in capture.encoded_frames(numbers.start, numbers.stop, numbers.step):
@@ -168,8 +182,7 @@ def calibrate_board(
     """Fit a rig to footage of a board that is tilted in all directions, in constant memory."""
     capture = job.open()
     job.judge(capture)
-    info = capture.info
-    numbers = job.frames.numbers(info.frame_count)
+    info, numbers = capture.info, job.numbers(capture)
     detector = BoardDetector(layout)
     sightings: list[BoardSighting] = []
     frames = capture.frames(numbers.start, numbers.stop, numbers.step)
@@ -274,8 +287,8 @@ def rig_of(
     mattes: tuple[Path, ...] = (),
 ) -> Rig:
     """Return the rig of a calibration on footage, with every file that it read."""
-    lamps = [path for source in job.single_light for path in job.open(source).info.files]
-    extra = [path for path in (*mattes, job.background, *lamps) if path is not None]
+    lamps = [path for source in job.single_light or () for path in job.open(source).info.files]
+    extra = [path for path in (*mattes, as_path(job.background), *lamps) if path is not None]
     return Rig(
         camera=camera,
         response=response,

@@ -194,7 +194,7 @@ def _follow(
     job: CalibrationJob, undistorter: Undistorter, options: HeadOptions
 ) -> tuple[HeadFootage, Tracks]:
     capture = job.open(gaps=Gaps.REFUSE)  # points are followed from frame to frame
-    numbers = job.frames.numbers(capture.info.frame_count)
+    numbers = job.numbers(capture)
     if not _LEAST_FRAMES <= len(numbers) <= _MOST_FRAMES:
         more = len(numbers) > _MOST_FRAMES
         hint = f"give --frames ::{-(-len(numbers) // 120)}" if more else "film at most 4 degrees a frame"

@@ -21,11 +21,14 @@ from vntoolkit.io.footage.decoding import Rectifier
 from vntoolkit.io.footage.image_writing import write_png
 from vntoolkit.io.footage.sequence import CaptureKind, find_capture_files
 from vntoolkit.io.results.folder import write_lock
+from vntoolkit.options.base import File, OptionalFile, Source, named
 from vntoolkit.options.calibration import LabelOffset, PressOptions
-from vntoolkit.options.footage import Gaps, SensorOptions
+from vntoolkit.options.footage import Gaps, PictureLimits, SensorOptions
+from vntoolkit.options.shared import AllowOptions, CornerOptions, CurveOptions
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import Transfer, TransferCurve, encoded_from_linear, linear_from_encoded
+from vntoolkit.pipeline.corners import rectification_from_corners
 from vntoolkit.tactile.circles import (
     FoundCircle,
     Press,
@@ -45,35 +48,42 @@ _STRONG_PERCENTILE = 98.0  # of a change: the rim of a dent is a few percent of 
 
 
 @dataclass(frozen=True, kw_only=True)
-class PressJob:
-    """What a calibration on presses reads.
+class PressJob(CornerOptions, CurveOptions, AllowOptions, SensorOptions, PressOptions, PictureLimits):
+    """What a calibration on presses reads."""
 
-    source: images, one press each. background: image of the untouched gel. labels: a folder of `NAME.txt`,
-    where an image without one is passed over, or a file of lines `NAME u v radius`, where the circles of
-    other images are found; None to find all. circles: (name of the image, u, v, radius) in pixels of the
-    rectified image; they replace what is found or labelled. ball_radii: a file of lines `NAME radius_mm`,
-    where NAME is an image, a folder of images, or a pattern; None for one ball. transfer: curve of the
-    footage, None for the one that it states, else linear. sensor: how samples of the sensor itself are read.
-    rectification: takes the camera's view to the gel; None where the images are rectified. label_size:
-    (width, height) of the frame that labels refer to; None for that of the images, rectified. allow: checks
-    whose fatal findings on the footage do not stop the calibration.
-    """
-
-    source: str
-    background: Path
-    labels: Path | None = None
-    circles: tuple[tuple[str, float, float, float], ...] = ()
-    ball_radii: Path | None = None
-    transfer: Transfer | None = None
-    sensor: SensorOptions = field(default_factory=SensorOptions)
-    rectification: Rectification | None = None
+    source: Source = field(kw_only=False)
+    """A folder or pattern of images, one for each press."""
+    background: File
+    """Image of the untouched gel."""
+    labels: OptionalFile = named(None)
+    """A folder of text files, NAME.txt for NAME.jpg: u v contact_radius in pixels of the rectified image; an
+    image without one is passed over. Or a text file of lines NAME.jpg u v contact_radius; the circles of
+    other images are found. Default: all contact circles are found."""
+    circle: tuple[tuple[str, float, float, float], ...] = ()
+    """Name of an image, and u v contact_radius in pixels of the rectified image: the circle of a press that
+    was passed over, or found beside its dent. May be given several times."""
+    ball_radii: OptionalFile = named(None)
+    """A text file of lines NAME radius, in millimetres, for balls of several sizes. NAME is an image, a
+    folder of images, or a pattern such as small-*.png."""
     label_size: tuple[int, int] | None = None
-    allow: tuple[str, ...] = ()
+    """Width and height of the image that the labels refer to; default: the rectified one."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.label_size is not None and min(self.label_size) < 1:
             got = " ".join(map(str, self.label_size))
             raise BadInput(f"label size: expected a width and height of 1 pixel or more, got {got}")
+
+    @cached_property
+    def rectification(self) -> Rectification | None:
+        """What takes the camera's view to the gel; None where the images are rectified."""
+        return rectification_from_corners(self, self.pixel_mm)
+
+    @property
+    def options(self) -> PressOptions:
+        """The options of the fit, with a pixel's side as it is in the rectified image."""
+        options, view = self.part(PressOptions), self.rectification
+        return options if view is None else replace(options, pixel_mm=view.pixel_mm)
 
     def prepare(self, frame: LinearFrame) -> LinearFrame:
         """Rectify a frame where asked for."""
@@ -112,9 +122,9 @@ class _ReadPress:
     aspect: float | None
 
 
-def calibrate_presses(job: PressJob, options: PressOptions) -> PressCalibration:
+def calibrate_presses(job: PressJob) -> PressCalibration:
     """Fit a rig to presses; images without a label, or without a dent where it is sought, are passed over."""
-    rng = np.random.default_rng(_SEED)
+    rng, options = np.random.default_rng(_SEED), job.options
     reader = PressReader(job)
     capture, background = reader.capture, reader.background
     judge(findings_from_calibration_footage(capture), job.allow)
@@ -159,7 +169,9 @@ def calibrate_presses(job: PressJob, options: PressOptions) -> PressCalibration:
         response=fit.response,
         transfer=capture.transfer,
         quality=fit.quality,
-        sources=tuple(map(source_file, (*capture.info.files, *find_capture_files(job.background).files))),
+        sources=tuple(
+            map(source_file, (*capture.info.files, *find_capture_files(Path(job.background)).files))
+        ),
         gel=gel,
     )
     return PressCalibration(
@@ -260,25 +272,28 @@ def rectify_capture(
 
 
 class PressReader:
-    """Reads the presses of a job: the footage, the untouched gel, and the change of colour between them."""
+    """Reads the presses of a job: the footage, the untouched gel, and the change of colour between them.
+
+    names: of the presses by number, of its file or, in a video, that number.
+    """
 
     def __init__(self, job: PressJob) -> None:
         self.job = job
-        options = CaptureOptions(transfer=job.transfer, gaps=Gaps.SKIP, sensor=job.sensor)
-        self.capture = open_capture(job.source, options)
-        self.background = job.prepare(open_capture(job.background, options).frame(0))
+        options = CaptureOptions(transfer=job.curve, gaps=Gaps.SKIP, sensor=job.part(SensorOptions))
+        self.capture = open_capture(str(job.source), options)
+        self.background = job.prepare(open_capture(Path(job.background), options).frame(0))
         self._dots = DotFilter(self.background.rgb)
         info = self.capture.info
         if info.kind is CaptureKind.VIDEO:
-            self._names = {number: str(number) for number in self.capture.present}
+            self.names = {number: str(number) for number in self.capture.present}
         else:
-            self._names = {n: file.name for n, file in zip(info.numbers, info.files, strict=True)}
-        self._by_hand = {name: _circle(values, f"--circle {name}") for name, *values in job.circles}
+            self.names = {n: file.name for n, file in zip(info.numbers, info.files, strict=True)}
+        self._by_hand = {name: _circle(values, f"--circle {name}") for name, *values in job.circle}
         self._labelled: dict[str, FloatArray] = {}
         self.has_folder = job.labels is not None and job.labels.is_dir()
         if job.labels is not None and not self.has_folder:
             self._labelled = _circles_of_file(job.labels)
-        names = list(self._names.values())
+        names = list(self.names.values())
         for name in (*self._by_hand, *self._labelled):
             if name not in names:
                 raise BadInput(f"circle of {name}: expected an image of {job.source}, such as {names[0]}")
@@ -289,7 +304,7 @@ class PressReader:
         if self.job.ball_radii is None:
             return {}
         paths = dict(zip(self.capture.info.numbers, self.capture.info.files, strict=False))
-        places = {name: paths.get(number, Path(name)) for number, name in self._names.items()}
+        places = {name: paths.get(number, Path(name)) for number, name in self.names.items()}
         found: dict[str, float] = {}
         for pattern, radius_mm in _radii_of_file(self.job.ball_radii):
             of = {name for name, path in places.items() if path.match(pattern) or path.match(f"{pattern}/*")}
@@ -300,10 +315,6 @@ class PressReader:
                 raise BadInput(f"{where} lists {twice[0]} again; expected each press once")
             found |= dict.fromkeys(of, radius_mm)
         return found
-
-    def name(self, number: int) -> str:
-        """The name of a press: of its file, or its number in a video."""
-        return self._names[number]
 
     def change(self, prepared: LinearFrame) -> tuple[LinearImage, Mask]:
         """The change of colour (h, w, 3) against the untouched gel, and the pixels that were filled."""
@@ -336,7 +347,7 @@ class PressReader:
 def _read(reader: PressReader, options: PressOptions, rng: np.random.Generator) -> Iterator[_ReadPress]:
     job, capture = reader.job, reader.capture
     for frame in progress.counted(capture.frames(), "read presses", len(capture.present)):
-        name = reader.name(frame.number)
+        name = reader.names[frame.number]
         samples = labelled = found = small = aspect = None
         if not reader.passes_over(name):
             change, filled = reader.change(job.prepare(frame))

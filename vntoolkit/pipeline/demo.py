@@ -12,7 +12,7 @@ from vntoolkit.io.results.manifest import ReconstructionFolder
 from vntoolkit.io.rigs import read_rig, write_rig
 from vntoolkit.options.calibration import BoardOptions
 from vntoolkit.options.reconstruction import ReconstructOptions
-from vntoolkit.options.simulation import DemoOptions, SceneOptions
+from vntoolkit.options.simulation import SceneOptions
 from vntoolkit.pipeline.calibrate import CalibrationJob, calibrate_board
 from vntoolkit.pipeline.reconstruct import ReconstructionSummary, reconstruct
 from vntoolkit.pipeline.request import Request
@@ -29,17 +29,10 @@ _FIELD_WIDTH_M = 1.42  # one zoom for the board and the garment, as on a real se
 BOARD, RIG, GARMENT, RECONSTRUCTION = "board", "rig.json", "sweater", "reconstruction"
 
 
-def run_demo(
-    root: Path,
-    options: DemoOptions | None = None,
-    *,
-    jobs: int = 1,
-    overwrite: bool = False,
-) -> ReconstructionSummary:
-    """Simulate, calibrate, simulate, reconstruct; go on where an earlier run stopped."""
-    options = options or DemoOptions()
+def run_demo(root: Path, frames: int, *, jobs: int = 1, overwrite: bool = False) -> ReconstructionSummary:
+    """Simulate, calibrate, simulate, reconstruct so many frames; go on where an earlier run stopped."""
     board = _film(_BOARD, root / BOARD, f"::{_BOARD_STEP}", sample="sweater")
-    garment = _film("sweater", root / GARMENT, f":{options.frames}")
+    garment = _film("sweater", root / GARMENT, f":{frames}")
     with write_lock(root):
         simulate(board, jobs=jobs, overwrite=overwrite)
         _calibrate(board.folder.video, root / RIG)

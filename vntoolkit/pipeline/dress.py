@@ -288,28 +288,21 @@ class DressSummary:
     fold_error: float | None = None
 
 
-@dataclass(frozen=True, kw_only=True)
-class CapturedLook:
-    """What a file holds of the capture beside the cloth. camera: that filmed it. texture: of the cloth."""
-
-    camera: Camera | None = None
-    texture: SurfaceTexture | None = None
-
-
 def write_dressed_figure(
-    dressed: DressedFigure, out: Path | str, look: CapturedLook | None = None
+    dressed: DressedFigure,
+    out: Path | str,
+    camera: Camera | None = None,
+    texture: SurfaceTexture | None = None,
 ) -> DressSummary:
     """Write `.usdc`/`.usd` (with skeleton), `.glb`, or one `.ply`/`.obj` a frame (`cloth_%04d.ply`).
 
-    look: texture and camera for the file, as `captured_look` finds them beside the tracks.
+    camera, texture: for the file, as `captured_look` finds them beside the tracks.
     """
     out = Path(out)
     require_figure_name(out)
     require_writable_folder(out.parent)
     rate, meter, offset = dressed.clock.frame_rate_hz, dressed.meter(), dressed.offset
-    look = look or CapturedLook()
-    camera = None if look.camera is None else dressed.viewed_from(look.camera)
-    texture = look.texture if dressed.template.uv is not None else None
+    texture = texture if dressed.template.uv is not None else None
     is_glb, is_file = out.suffix.lower() == ".glb", out.suffix.lower() in _FILE_SUFFIXES
     if texture is not None and is_file and not is_glb:
         texture = texture.beside(out)
@@ -319,7 +312,8 @@ def write_dressed_figure(
             meter.add(vertices, pose_of_frame(dressed.motion, index))
             yield vertices + offset
 
-    shown: dict[str, Any] = {"camera": camera, "texture": texture}
+    viewed = None if camera is None else dressed.viewed_from(camera)
+    shown: dict[str, Any] = {"camera": viewed, "texture": texture}
     if dressed.carrier is AnimationStorage.SKIN and is_file:
         clip = dressed.skin().moved(offset)
         count = (write_glb_skin if is_glb else write_usd_skin)(out, clip, **shown)
@@ -401,14 +395,14 @@ def _skeleton_beside(path: Path) -> Path:
     return max(candidates, key=lambda file: len(file.stem))
 
 
-def captured_look(folder: Path | str) -> CapturedLook:
-    """Return the texture and the camera of tracks, as far as the folder of `read_tracked_cloth` has them."""
+def captured_look(folder: Path | str) -> tuple[Camera | None, SurfaceTexture | None]:
+    """Return the camera and the texture of tracks, as far as the folder of `read_tracked_cloth` has them."""
     track = _track_folder(Path(folder))
     if not (track / "track.json").exists():
-        return CapturedLook()
+        return None, None
     record = read_track_record(track)
     camera = recorded_camera(record).without_distortion() if "camera" in record else None
-    return CapturedLook(camera=camera, texture=texture_of_tracks(track))
+    return camera, texture_of_tracks(track)
 
 
 def read_tracked_cloth(folder: Path | str) -> MeshSequence:

@@ -28,7 +28,7 @@ from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.geometry.mesh import MeshSequence
 from vntoolkit.integration.integrate import DepthIntegrator
 from vntoolkit.io.atomic import write_text
-from vntoolkit.io.files import read_json, require_file
+from vntoolkit.io.files import read_json
 from vntoolkit.io.maps_and_meshes.arrays import map_npy, read_npz
 from vntoolkit.io.maps_and_meshes.maps import read_normal_map
 from vntoolkit.io.maps_and_meshes.masks import read_mask
@@ -41,6 +41,7 @@ from vntoolkit.pipeline.integrate_normals import read_camera_matrix, settled_con
 from vntoolkit.pipeline.opened_result import OpenedResult
 from vntoolkit.pipeline.simulate import SimulationFolder
 from vntoolkit.pipeline.tracked_folder import read_tracks
+from vntoolkit.pipeline.truth_comparison import true_normals
 
 logger = logging.getLogger(__name__)
 _SEED = 0  # the same folder gives the same numbers
@@ -283,8 +284,7 @@ def _deviation(
     cylinder: Cylinder, normal_map: NormalMap, truth: CylinderTruth, result: OpenedResult, number: int
 ) -> TrueDeviation:
     direction, point = truth.axis(number)
-    true_map = read_normal_map(require_file(truth.folder.map_file("normals", number, ".exr")))
-    error = angular_error.compare_normals(normal_map, true_map)
+    error = angular_error.compare_normals(normal_map, true_normals(truth.folder.root, number))
     radius = radius_from_distance(cylinder, result.camera, point)
     return TrueDeviation(
         axis_deg=axis_error_deg(cylinder, direction),

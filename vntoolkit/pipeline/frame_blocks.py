@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,20 +26,15 @@ _SAMPLED = 4  # every fourth pixel of every fourth row tells a frame's expected 
 Block = tuple[range, frozenset[int]]  # consecutive frames, and those of them that are on disk already
 
 
-def begin_blocks(
-    request: Request, known: Known, threads: int | None
-) -> Callable[[Block], Iterator[FrameEntry]]:
-    """Return what processes a block in this process. threads: that it may use, None for as many as help."""
-    processor = FrameBlockProcessor(request, known, 2 if threads is None else min(2, threads))
-    return lambda block: processor.run(*block)
-
-
 class FrameBlockProcessor:
-    """Processes blocks of one capture; opens it once. threads: with 1, reading and processing take turns."""
+    """Processes blocks of one capture in this process; opens it once.
 
-    def __init__(self, request: Request, known: Known, threads: int = 2) -> None:
-        self._request, self._threads = request, threads
-        self._footage = request.open_footage(threads)
+    threads: that it may use, None for as many as help. With 1, reading and processing take turns.
+    """
+
+    def __init__(self, request: Request, known: Known, threads: int | None) -> None:
+        self._request, self._threads = request, 2 if threads is None else min(2, threads)
+        self._footage = request.open_footage(self._threads)
         options, mattes = request.options_with(known), self._footage.mattes
         self._options = options
         self._processor = FrameProcessor(
@@ -57,19 +52,20 @@ class FrameBlockProcessor:
                 frame = next(self._frames(range(at, at + 1)))
                 self._processor.set_reference(self._carried, frame, mattes.of(frame))
 
-    def run(self, block: range, already_done: frozenset[int] = frozenset()) -> Iterator[FrameEntry]:
+    def __call__(self, item: Block) -> Iterator[FrameEntry]:
         """Process a block and write its frames, but for those already on disk; yield a record per new frame.
 
         All frames are computed, since a frame may start from the one before it. A record is yielded once the
         frame's files are in place.
         """
+        block, on_disk = item
         self._carried.reset()
         waiting = _WAITING if self._threads > 1 else 0
         frames = read_ahead(self._frames(block), waiting)
         there = (frame for frame in frames if not self._footage.mattes.missing([frame.number]))
         found = stepped(map(self._with_light, there), self._with_normals, self._threads)
         whole = stepped(found, self._with_surface, waiting=waiting)
-        wanted = (work for work in whole if work.frame.number not in already_done)
+        wanted = (work for work in whole if work.frame.number not in on_disk)
         yield from stepped(wanted, self._written, waiting=_WAITING)
 
     def _frames(self, block: range) -> Iterator[EncodedFrame]:

@@ -149,7 +149,10 @@ def integrate_normals(asked: IntegrateArguments) -> Path:
     folder, log = ReconstructionFolder(root=root), FrameLog(root)
     with write_lock(root):
         _, first = next(source.read(numbers[:1], mask))
-        integrator = _begun(asked, source, first, mask_file)
+        if mask_file is not None and asked.mask is None:
+            logger.warning("%s: masked by %s beside it", asked.source, mask_file.name)
+        convention = settled_convention(first, asked.convention, str(asked.source), "--convention")
+        integrator = _FrameIntegrator(asked, _camera_of(asked, source, first.mask.shape), convention)
         manifest = _manifest(asked, source, integrator.rig, mask_file)
         goes_on = begin_run(root, RECONSTRUCTION, manifest, overwrite=asked.overwrite)
         kept = (
@@ -234,16 +237,6 @@ class _FrameIntegrator:
         )
 
 
-def _begun(
-    asked: IntegrateArguments, source: NormalSource, stored: StoredNormals, mask_file: Path | None
-) -> _FrameIntegrator:
-    """Settle camera and convention on the first map, and say what was found."""
-    if mask_file is not None and asked.mask is None:
-        logger.warning("%s: masked by %s beside it", asked.source, mask_file.name)
-    convention = settled_convention(stored, asked.convention, str(asked.source), "--convention")
-    return _FrameIntegrator(asked, _camera_of(asked, source, stored.mask.shape), convention)
-
-
 def settled_convention(
     stored: StoredNormals, given: NormalConvention | None, name: str | PathLike[str], flag: str
 ) -> NormalConvention:
@@ -276,25 +269,18 @@ def _read_prior(asked: IntegrateArguments, camera: Camera) -> DepthPrior | None:
         if depth.error_percent is None:
             raise BadInput(f"{asked.prior}: it states no error; give --prior-error, a number or an EXR")
         error = depth.error_percent * (float(np.ptp(depth.depth[depth.mask])) / 100.0)
-    elif _is_number(asked.prior_error):
-        error = float(asked.prior_error) * (1e-3 if camera.is_perspective else 1.0)
     else:
-        stated = read_depth_map(asked.prior_error)
-        _require_prior_size(Path(asked.prior_error), stated.shape, wanted)
-        depth, error = replace(depth, mask=depth.mask & stated.mask), stated.depth
+        try:
+            error = float(asked.prior_error) * (1e-3 if camera.is_perspective else 1.0)
+        except ValueError:  # the name of a file
+            stated = read_depth_map(asked.prior_error)
+            _require_prior_size(Path(asked.prior_error), stated.shape, wanted)
+            depth, error = replace(depth, mask=depth.mask & stated.mask), stated.depth
     logger.warning(
         "%s: depth in %s, median %.4g, %.0f %% of the pixels, error %.3g", asked.prior, unit,
         np.median(depth.depth[depth.mask]), 100.0 * depth.mask.mean(), np.median(error),
     )  # fmt: skip
     return DepthPrior(depth=depth.depth, mask=depth.mask, error=error)
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
 
 
 def _require_prior_size(path: Path, shape: tuple[int, int], wanted: tuple[int, int]) -> None:

@@ -79,11 +79,11 @@ def measured_materials(
         seen = LabelledFrame(
             frame=levelled[0], mask=subjects[0], labeller=labeller, labels=labels, state=state
         )
-        found = _known_apart(found, choice)
-        found, pigments = _with_pigments(found, seen)
-        found = _explaining(found, pigments, seen, choice)
-    if found:
-        return list(map(_entry, weighed_against_grey(found, searched), pigments)), seen.state.statistics
+        if found := _known_apart(found, choice):
+            found, pigments = _with_pigments(found, seen)
+            if found := _explaining(found, pigments, seen, choice):
+                weighed = weighed_against_grey(found, searched)
+                return list(map(_entry, weighed, pigments)), seen.state.statistics
     return [], None
 
 
@@ -147,8 +147,6 @@ class LabelledFrame:
 
 def _with_pigments(found: list[Material], seen: LabelledFrame) -> tuple[list[Material], list[Vector3 | None]]:
     """Return the materials, and the line (3,) along which each changes, None where it hardly does."""
-    if not found:
-        return [], []
     materials, pigments = [], []
     told = seen.labeller.pigments_of(seen.frame, seen.mask, seen.labels, seen.state)
     for each, pigment in zip(found, told, strict=True):
@@ -165,8 +163,6 @@ def _explaining(
     choice: MaterialSearch | int,
 ) -> list[Material]:
     """Return the materials; warn where they leave much of a frame unexplained, and return none where most."""
-    if not found:
-        return found
     response = seen.labeller.response
     values = np.array([each.reflectance.values for each in found])
     along = np.array([np.zeros(3) if each is None else each for each in pigments])

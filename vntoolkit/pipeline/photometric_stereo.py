@@ -41,8 +41,7 @@ def photometric_stereo(asked: PhotometricStereoArguments) -> NormalMap:
     beside = folder / "mask.png"
     mask_file = asked.mask or (beside if beside.exists() else None)
     mask = None if mask_file is None else read_mask(mask_file)
-    curve = None if asked.transfer is None else Transfer.from_text(asked.transfer)
-    stack = _stack_of(folder, lights, curve)
+    stack = _stack_of(folder, lights, asked.curve)
     result = solve_photometric_stereo(stack, lights.directions, mask)
     normal_map = replace(result.normal_map, error_deg=expected_error_deg(stack, lights.directions, result))
     _require_valid(normal_map, mask, lights.files[0])

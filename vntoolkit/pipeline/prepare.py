@@ -43,7 +43,10 @@ def prepare(request: Request, footage: Footage, numbers: Sequence[int]) -> Known
     found: dict[str, object] = {"reference_frame": _reference_frame(request, footage, numbers)}
     options, rig = request.effective_options, request.rig
     examined = _examined(request, rig, footage, numbers)
-    _judge(request, examined, fatal_alone=seeks_materials(rig, options))
+    # What is less than fatal is judged once materials are known. No material excuses what is fatal.
+    fatal_alone = seeks_materials(rig, options)
+    judged = [each for each in examined.findings if each.level is Level.FATAL or not fatal_alone]
+    judge(judged, request.allow)
     if request.is_of_gel:
         return _known(found, steps, examined)
     from vntoolkit.pipeline.rig_material import measured_brightness
@@ -63,7 +66,7 @@ def prepare(request: Request, footage: Footage, numbers: Sequence[int]) -> Known
     else:
         examined = _examined(request, rig, footage, numbers, materials, seen)
     if seeks:
-        _judge(request, examined)
+        judge(examined.findings, request.allow)
     if rig.response.variation is None:
         found["nearness"] = round(examined.nearness, _DIGITS_OF_NEARNESS)
     return _known(found, steps, examined)
@@ -156,15 +159,6 @@ def _examined(
         logger.debug("plausibility not checked: %s", problem)
         return Examination(findings=[])
     return examined
-
-
-def _judge(request: Request, examined: "Examination", *, fatal_alone: bool = False) -> None:
-    """Log findings; raise `FatalFinding` for one that ruins normals.
-
-    fatal_alone: what is less is judged once materials are known. No material excuses what is fatal.
-    """
-    judged = [each for each in examined.findings if each.level is Level.FATAL or not fatal_alone]
-    judge(judged, request.allow)
 
 
 def in_one_material(

@@ -239,17 +239,17 @@ def _frames_in_processes(run: _Run, jobs: int, scheduler: str | None) -> Generat
     items: list[Block] = [(block, run.on_disk.intersection(block)) for block in blocks]
     if not items:
         return
-    from vntoolkit.pipeline.frame_blocks import begin_blocks
+    from vntoolkit.pipeline.frame_blocks import FrameBlockProcessor
 
     if scheduler is None:
         from vntoolkit.pipeline.processes import map_in_processes
 
-        begin = partial(begin_blocks, run.request, run.known)
+        begin = partial(FrameBlockProcessor, run.request, run.known)
         yield from map_in_processes(begin, items, min(jobs, len(items)))
         return
     from vntoolkit.pipeline.cluster import map_on_cluster
 
-    begin = partial(begin_blocks, run.request.from_anywhere(), run.known)
+    begin = partial(FrameBlockProcessor, run.request.from_anywhere(), run.known)
     yield from map_on_cluster(begin, items, scheduler, jobs)
     # every block is written, so what is half-written was left by workers that died, here or elsewhere
     remove_leftovers(run.request.folder.root, lambda process: process != os.getpid())

@@ -52,6 +52,7 @@ _SHEET_FRAMES, _SHEET_WIDTH = 8, 320
 _VERSION = 2  # of the shapes and the renderer: frames of another version are not gone on with
 _FIXED_TRUTH = ("rig.json", "lights.json", "scene.json", "seams.json", "poses.json")
 _TRUE_MAPS = {"normals": ".exr", "depth": ".exr", "mask": ".png", "visibility": ".png"}  # of every frame
+_MAP_SUFFIXES = _TRUE_MAPS | {"flow": ".exr"}  # where the next frame is known
 _STAGED = ".frames"
 SIMULATION = FolderKind(
     verb="simulate",
@@ -62,8 +63,7 @@ SIMULATION = FolderKind(
         "contact_sheet.png",
         *(f"truth/{name}" for name in (*_FIXED_TRUTH, *SEQUENCE_FILES)),
     ),
-    frames={f"truth/{kind}": (suffix,) for kind, suffix in (*_TRUE_MAPS.items(), ("flow", ".exr"))}
-    | {_STAGED: (".png",)},
+    frames={f"truth/{kind}": (suffix,) for kind, suffix in _MAP_SUFFIXES.items()} | {_STAGED: (".png",)},
     foreign=("capture.mkv",),
 )
 logger = logging.getLogger(__name__)
@@ -132,8 +132,8 @@ def _write_contact_sheet(job: SimulationJob) -> None:
     linear = job.nuisances.file_transfer.curve is TransferCurve.LINEAR
     rows = []
     for place in sampled(range(len(job.numbers)), _SHEET_FRAMES):
-        normals = read_normal_map(job.folder.map_file("normals", place, ".exr"))
-        labels = read_labels(job.folder.map_file("visibility", place, ".png"))
+        normals = read_normal_map(job.folder.map_file("normals", place))
+        labels = read_labels(job.folder.map_file("visibility", place))
         film = read_image(job.folder.staged(place))
         rows.append(contact_row(film, normals, labels, linear, _SHEET_WIDTH))
     write_png(job.folder.root / "contact_sheet.png", contact_sheet(rows))
@@ -159,9 +159,9 @@ class SimulationFolder:
         """A rendered frame that waits for the video to be written; comes last of a frame's files."""
         return self.root / _STAGED / f"{place:06d}.png"
 
-    def map_file(self, kind: str, place: int, suffix: str) -> Path:
+    def map_file(self, kind: str, place: int) -> Path:
         """The file of one frame's normals, depth, mask, visibility or flow."""
-        return self.truth / kind / f"{place:06d}{suffix}"
+        return self.truth / kind / f"{place:06d}{_MAP_SUFFIXES[kind]}"
 
     def is_complete(self, count: int) -> bool:
         """Whether the true maps of so many frames are there."""
@@ -289,13 +289,13 @@ def write_moving_mesh(job: SimulationJob, resume: bool, missing: Sequence[int]) 
 def write_frame(folder: SimulationFolder, place: int, frame: SimulatedFrame) -> None:
     """Write one frame's truth, and the frame itself, last, where the video is gathered from."""
     truth = frame.truth
-    write_normal_map(folder.map_file("normals", place, ".exr"), truth.normals, compression=_COMPRESSION)
-    write_depth_map(folder.map_file("depth", place, ".exr"), truth.depth, compression=_COMPRESSION)
-    write_mask(folder.map_file("mask", place, ".png"), truth.normals.mask)
-    write_labels(folder.map_file("visibility", place, ".png"), truth.labels)
+    write_normal_map(folder.map_file("normals", place), truth.normals, compression=_COMPRESSION)
+    write_depth_map(folder.map_file("depth", place), truth.depth, compression=_COMPRESSION)
+    write_mask(folder.map_file("mask", place), truth.normals.mask)
+    write_labels(folder.map_file("visibility", place), truth.labels)
     if truth.flow_px is not None:
         flow = np.where(truth.normals.mask[..., None], truth.flow_px, np.float32(np.nan))
-        write_flow(folder.map_file("flow", place, ".exr"), flow, compression=_COMPRESSION)
+        write_flow(folder.map_file("flow", place), flow, compression=_COMPRESSION)
     write_png(folder.staged(place), frame.stored)
 
 

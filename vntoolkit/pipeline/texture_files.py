@@ -48,11 +48,15 @@ def with_captured_colours(tracks: "Tracks", texture: SurfaceTexture | None) -> M
     own = ReconstructionFolder(root=tracks.folder.parent).file("mesh", tracks.template)
     if template.colours is not None or vertices is None or not own.exists():
         return template
+    from scipy.spatial import cKDTree
+
     from vntoolkit.io.maps_and_meshes.meshes import read_mesh
-    from vntoolkit.pipeline.tracked_folder import colours_at
 
     mesh = read_mesh(own)
-    return template if mesh.colours is None else replace(template, colours=colours_at(vertices, mesh))
+    if mesh.colours is None:
+        return template
+    _, nearest = cKDTree(mesh.vertices).query(vertices, workers=-1)
+    return replace(template, colours=np.asarray(mesh.colours)[nearest])
 
 
 def colours_from_texture(texture: SurfaceTexture | None, mesh: Mesh) -> Colours | None:

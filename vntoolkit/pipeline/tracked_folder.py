@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial import cKDTree
 
-from vntoolkit.arrays import Colours, Points
+from vntoolkit.arrays import Points
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.mesh import Mesh, MeshSequence
@@ -147,10 +146,3 @@ def remove_backwards(folder: Path) -> None:
     for name in _MOVING:
         (folder / _BACKWARDS / name).unlink(missing_ok=True)
     remove_if_empty(folder / _BACKWARDS)
-
-
-def colours_at(vertices: Points, coloured: Mesh) -> Colours:
-    """Return (n, 3): for each vertex the colour of the nearest vertex of a coloured mesh."""
-    _, nearest = cKDTree(coloured.vertices).query(np.asarray(vertices), workers=-1)
-    colours: Colours = np.asarray(coloured.colours)[nearest]
-    return colours

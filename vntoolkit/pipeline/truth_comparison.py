@@ -1,6 +1,6 @@
 """Errors of a reconstruction of simulated footage."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -27,23 +27,20 @@ class FrameComparison:
     depth: DepthError | None
 
 
-def compare_with_truth(result: OpenedResult, simulated: Path) -> Iterator[FrameComparison]:
-    """Yield every frame of a result against the truth in the folder that `simulate` wrote, one at a time.
+def compare_with_truth(
+    result: OpenedResult, simulated: Path, numbers: Sequence[int] | None = None
+) -> Iterator[FrameComparison]:
+    """Yield frames of a result against the truth in the folder that `simulate` wrote, one at a time.
 
-    Raises `BadInput` where that folder holds no truth for a frame.
+    numbers: of the frames, None for all. Raises `BadInput` where that folder holds no truth for a frame.
     """
-    for number in result.numbers:
-        yield compare_frame_with_truth(result, simulated, number)
-
-
-def compare_frame_with_truth(result: OpenedResult, simulated: Path, number: int) -> FrameComparison:
-    """Compare one frame of a result with the truth, as `compare_with_truth` does all of them."""
-    depth = result.depth(number)
-    return FrameComparison(
-        number=number,
-        normals=compare_normals(result.normals(number), true_normals(simulated, number)),
-        depth=None if depth is None else compare_depths(depth, true_depth(simulated, number), result.camera),
-    )
+    for number in numbers or result.numbers:
+        depth, normals = result.depth(number), result.normals(number)
+        of_depth = None
+        if depth is not None:
+            of_depth = compare_depths(depth, true_depth(simulated, number), result.camera)
+        of_normals = compare_normals(normals, true_normals(simulated, number))
+        yield FrameComparison(number=number, normals=of_normals, depth=of_depth)
 
 
 def true_normals(simulated: Path, number: int) -> NormalMap:
@@ -67,7 +64,7 @@ def _unit_rows(matrix: FloatArray) -> FloatArray:
 
 
 def _truth_file(simulated: Path, kind: str, number: int) -> Path:
-    path = SimulationFolder(root=simulated).map_file(kind, number, ".exr")
+    path = SimulationFolder(root=simulated).map_file(kind, number)
     if not path.exists():
         raise BadInput(f"{path}: the simulated capture holds no truth for frame {number}")
     return path

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from vntoolkit.arrays import ByteArray, FloatArray, Mask, Vector3
+from vntoolkit.arrays import ByteArray, FloatArray, Vector3
 from vntoolkit.calibration.head.hull import turn_angles_deg
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.mesh import Mesh
@@ -80,6 +80,8 @@ def _poses_section(frames: list[_ShownFrame], result: HeadCalibration) -> page.P
         draw_tracks(axis, shown.image, result, shown.used)
         axis.set_title(f"frame {shown.number}")
 
+    with pictures.new_axes(9.0, 3.0) as turn:
+        draw_turn(turn, result)
     return page.PageSection(
         title="Tracks and poses",
         paragraphs=(
@@ -88,7 +90,7 @@ def _poses_section(frames: list[_ShownFrame], result: HeadCalibration) -> page.P
         ),
         figures=(
             _strip(tracks, frames, "Tracks on the frames."),
-            _plot(lambda axis: draw_turn(axis, result), (9.0, 3.0), "The head's angle in every frame."),
+            page.figure_from_plot(turn.figure, "The head's angle in every frame.", wide=True),
         ),
     )
 
@@ -172,12 +174,11 @@ def _light_section(frames: list[_ShownFrame], rig: Rig, result: HeadCalibration)
 
 def _times_section(rig: Rig, result: HeadCalibration) -> page.PageSection:
     times = tuple((stage, f"{seconds:.1f} s") for stage, seconds in result.stage_seconds.items())
-    sources = tuple((source.file, source.sha256[:16] + "…") for source in rig.sources)
     return page.PageSection(
         title="Time and sources",
         tables=(
             page.PageTable(headings=("stage", "time"), rows=times, numeric=True),
-            page.PageTable(headings=("file", "SHA-256"), rows=sources),
+            page.table_of_sources("file", rig),
         ),
     )
 
@@ -198,10 +199,9 @@ def _strip(
 def _picture(draw: Draw, size: tuple[int, int], caption: str, *, wide: bool = False) -> page.PageFigure:
     """Paint one drawing of so many rows and columns: too much for a vector graphic."""
     width = 9.0 if wide else 6.0
-    with pictures.report_style():
-        figure = pictures.new_figure(width, width * size[0] / size[1] + 0.4)
-        draw(figure.subplots())
-        return page.figure_from_pixels(_pixels_of(figure), caption, wide=wide)
+    with pictures.new_axes(width, width * size[0] / size[1] + 0.4) as axis:
+        draw(axis)
+        return page.figure_from_pixels(_pixels_of(axis.figure), caption, wide=wide)
 
 
 def _pixels_of(figure: Figure) -> ByteArray:
@@ -209,13 +209,6 @@ def _pixels_of(figure: Figure) -> ByteArray:
     canvas: Any = figure.canvas
     canvas.draw()
     return np.asarray(canvas.buffer_rgba())[..., :3].copy()
-
-
-def _plot(draw: Draw, size_in: tuple[float, float], caption: str) -> page.PageFigure:
-    with pictures.report_style():
-        figure = pictures.new_figure(*size_in)
-        draw(figure.subplots())
-    return page.figure_from_plot(figure, caption, wide=True)
 
 
 # Quality of the calibration: graded numbers, and notices where it is weak.
@@ -337,7 +330,8 @@ def draw_shape(axis: Any, image: ByteArray, result: HeadCalibration, used: int) 
     axis.contour(result.footage.silhouettes[used].mask, levels=[0.5], colors=_YELLOW, linewidths=0.8)
     hull = _shading(result.hull, motion.camera, pose) >= 0
     axis.contour(hull, levels=[0.5], colors=pictures.SKY, linewidths=0.6)
-    overlap = _overlap(shading >= 0, result.footage.silhouettes[used].mask)
+    shape, silhouette = shading >= 0, result.footage.silhouettes[used].mask
+    overlap = (shape & silhouette).sum() / max(1, (shape | silhouette).sum())
     axis.set_title(f"shape, silhouette (yellow), hull (blue);\noverlap {overlap:.3f}")
 
 
@@ -370,6 +364,8 @@ def draw_turn(axis: Any, result: HeadCalibration) -> None:
 
 def draw_sphere(axis: Any, result: HeadCalibration) -> None:
     """Draw the normals seen, seen by the camera, in the colour of their residual, and the rows of M."""
+    from matplotlib.patches import Circle
+
     samples, light = result.samples, result.light
     normals = samples.normals_in_camera[light.inliers]
     colours = samples.rgb[light.inliers] / light.albedo[light.inliers] - light.response.ambient
@@ -384,7 +380,7 @@ def draw_sphere(axis: Any, result: HeadCalibration) -> None:
     names, directions = light.response.direction_names, light.response.light_directions
     for direction, colour, name in zip(directions, _LIGHT_COLOURS, names, strict=True):
         axis.plot(*direction[:2], "*", color=colour, markersize=18, markeredgecolor="white", label=name)
-    axis.add_artist(_circle())
+    axis.add_artist(Circle((0, 0), 1.0, fill=False, color="0.5"))
     axis.set(aspect="equal", xlim=(-1.05, 1.05), ylim=(1.05, -1.05))
     axis.set(xlabel="x, right", ylabel="y, down")
     axis.set_title(f"normals seen, and rows of M; median residual {light.quality.residual_deg:.1f}°")
@@ -426,16 +422,6 @@ def _shading(mesh: Mesh, camera: Camera, pose: RigidTransform) -> FloatArray:
     return hits.image(np.abs(hits.normals[:, 2]), (camera.height, camera.width), -1.0)
 
 
-def _overlap(first: Mask, second: Mask) -> float:
-    return float((first & second).sum() / max(1, (first | second).sum()))
-
-
 def _show(axis: Any, image: ByteArray) -> None:
     axis.imshow(image)
     axis.set_axis_off()
-
-
-def _circle() -> Any:
-    from matplotlib.patches import Circle
-
-    return Circle((0, 0), 1.0, fill=False, color="0.5")

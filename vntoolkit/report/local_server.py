@@ -17,7 +17,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler
 from typing import Any
@@ -33,7 +33,6 @@ _ANSWER_S = 60.0  # for an answer to be taken off
 _TOKEN_BYTES = 16
 
 Answer = Callable[[Mapping[str, str]], bytes | None]
-Post = Callable[[Mapping[str, str]], None]
 
 
 class LocalServer:
@@ -44,31 +43,29 @@ class LocalServer:
         options: ViewerOptions,
         page: str,
         answers: Mapping[str, Answer],
-        posts: Mapping[str, Post] | None = None,
+        posts: Mapping[str, Answer] | None = None,
         *,
         script: str = "scene.js",
     ) -> None:
         """Listen at once. Raises `CannotWrite` for an address that is not ours.
 
         answers: by path, such as `/frame`; called with the query, they return what is sent, or None where
-        there never will be anything. posts: what is called, with the query, on a POST to these paths. script:
-        name of the page's own script, the only one that a browser will run.
+        there never will be anything. posts: the same on a POST to these paths. script: name of the page's own
+        script, the only one that a browser will run.
         """
         self.token = secrets.token_urlsafe(_TOKEN_BYTES)
         self._host = options.host
         names = _own_names(options.host)
 
-        class Handler(_Handler):
-            site = _Site(
-                page=page.encode(),
-                answers=answers,
-                posts=posts or {},
-                token=self.token,
-                names=names,
-                script=script,
-            )
-
-        self._server = _listening(options.host, options.port, Handler)
+        site = _Site(
+            page=page.encode(),
+            answers=answers,
+            posts=posts or {},
+            token=self.token,
+            names=names,
+            script=script,
+        )
+        self._server = _listening(options.host, options.port, partial(_Handler, site))
         self._thread = threading.Thread(
             target=self._server.serve_forever, kwargs={"poll_interval": 0.2}, name="local-server", daemon=True
         )
@@ -98,7 +95,7 @@ class _Site:
 
     page: bytes
     answers: Mapping[str, Answer]
-    posts: Mapping[str, Post]
+    posts: Mapping[str, Answer]
     token: str
     names: frozenset[str | None]
     script: str
@@ -144,7 +141,10 @@ class _Handler(BaseHTTPRequestHandler):
     protocol_version = "HTTP/1.1"  # one connection for all packets
     disable_nagle_algorithm = True
     server_version, sys_version = "vntoolkit", ""
-    site: _Site
+
+    def __init__(self, site: _Site, *connection: Any) -> None:
+        self.site = site
+        super().__init__(*connection)
 
     def setup(self) -> None:
         super().setup()
@@ -158,29 +158,22 @@ class _Handler(BaseHTTPRequestHandler):
             super().handle_one_request()
 
     def do_GET(self) -> None:
-        query = self._accepted()
-        if query is None:
-            return
-        path = urlsplit(self.path).path
-        if path == "/":
+        if urlsplit(self.path).path != "/":
+            self._answer(self.site.answers)
+        elif self._accepted() is not None:
             self._reply(self.site.page, "text/html; charset=utf-8")
-        elif path in self.site.answers:
-            self._answer(self.site.answers[path], query)
-        else:
-            self._refuse(HTTPStatus.NOT_FOUND, "there is nothing here")
 
     def do_POST(self) -> None:
         self.close_connection = True  # what a body may hold is not read
-        query = self._accepted()
+        self._answer(self.site.posts)
+
+    def _answer(self, answers: Mapping[str, Answer]) -> None:
+        query, answer = self._accepted(), answers.get(urlsplit(self.path).path)
         if query is None:
             return
-        post = self.site.posts.get(urlsplit(self.path).path)
-        if post is None:
+        if answer is None:
             self._refuse(HTTPStatus.NOT_FOUND, "there is nothing here")
             return
-        self._answer(lambda query: (post(query), b"")[1], query)
-
-    def _answer(self, answer: Answer, query: Mapping[str, str]) -> None:
         try:
             content = answer(query)
         except (KeyError, ValueError, IndexError, BadInput) as error:
@@ -262,7 +255,7 @@ class _Listener(socketserver.ThreadingTCPServer):
         """A page that went away is no error."""
 
 
-def _listening(host: str, port: int, handler: type[_Handler]) -> _Listener:
+def _listening(host: str, port: int, handler: Callable[..., _Handler]) -> _Listener:
     """Listen on the port or the next free one."""
     try:
         family, _, _, _, address = socket.getaddrinfo(

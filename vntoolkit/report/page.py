@@ -18,6 +18,7 @@ from vntoolkit.io.atomic import write_text
 from vntoolkit.io.files import read_bytes
 from vntoolkit.io.footage.image_writing import encoded_image
 from vntoolkit.io.results.manifest import now_utc
+from vntoolkit.photometry.rig import Rig
 from vntoolkit.report.pictures import report_style
 from vntoolkit.report.rendering import rendered
 
@@ -97,6 +98,12 @@ class PageSection:
     notices: tuple[PageNotice, ...] = ()
     figures: tuple[PageFigure, ...] = ()
     tables: tuple[PageTable, ...] = ()
+
+
+def table_of_sources(heading: str, rig: Rig) -> PageTable:
+    """Return the files that a rig was calibrated from."""
+    rows = tuple((source.file, source.sha256[:16] + "…") for source in rig.sources)
+    return PageTable(headings=(heading, "SHA-256"), rows=rows)
 
 
 def figure_from_plot(figure: Figure, caption: str, *, wide: bool = False) -> PageFigure:

@@ -108,18 +108,18 @@ def displayed(linear: FloatArray | LinearImage) -> Picture:
 
 
 def pictures_of_frame(
-    result: OpenedResult, number: int, *, ground: int, beside_normals: int, beside_labels: int | None = None
+    result: OpenedResult, number: int, *, ground: int, beside_labels: int | None = None
 ) -> dict[str, Picture]:
     """Return what there is of a frame: captured, normals, depth (as relief), shadows and materials, so named.
 
     Of a gel also dents: depth in mm, on one scale for all frames.
 
-    ground: grey value where a map is invalid; beside_normals, beside_labels: for those, default as for all.
+    ground: grey value where a map is invalid; beside_labels: for those, default as for all.
     """
     normal_map, depth_map = result.normals(number), result.depth(number)
     labels, captured = result.labels(number), result.picture(number)
     pictures: dict[str, Picture] = {} if captured is None else {"captured": captured}
-    pictures["normals"] = picture_of_normals(normal_map, ground=beside_normals)
+    pictures["normals"] = picture_of_normals(normal_map, ground=ground)
     if depth_map is not None:
         pictures["depth"] = picture_of_depth(depth_map, result.camera, ground=ground)
         if result.rig.gel is not None:

@@ -25,7 +25,7 @@ def write_press_overlay(path: Path | str, job: PressJob) -> None:
         figure = pictures.new_figure(_COLUMNS * _TILE_IN, rows * (_TILE_IN * height / width + 0.3))
         tiles = figure.subplots(rows, _COLUMNS, squeeze=False).ravel()
         for axes, frame in zip(tiles, reader.capture.frames(), strict=False):
-            name = reader.name(frame.number)
+            name = reader.names[frame.number]
             change, _ = reader.change(job.prepare(frame))
             circle = reader.labelled(name)
             by = "given"

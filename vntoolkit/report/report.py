@@ -264,9 +264,7 @@ def _named(result: OpenedResult, number: int) -> str:
 
 def _parts(result: OpenedResult, number: int) -> dict[str, pictures.Picture]:
     normal_map = result.normals(number)
-    parts = pictures.pictures_of_frame(
-        result, number, ground=pictures.GROUND, beside_normals=pictures.GROUND, beside_labels=_BESIDE
-    )
+    parts = pictures.pictures_of_frame(result, number, ground=pictures.GROUND, beside_labels=_BESIDE)
     if normal_map.error_deg is not None:
         parts["expected error"] = pictures.picture_of_errors(
             normal_map.error_deg, normal_map.mask, _ERRORS, pictures.GROUND
@@ -377,7 +375,7 @@ def calibration_section(result: OpenedResult, sample: int) -> page.PageSection:
         ),
         numbers=_numbers(result),
         figures=(_cone_figure(result, sample), _response_figure(result)),
-        tables=(_source_table(result),) if result.rig.sources else (),
+        tables=(page.table_of_sources("calibrated from", result.rig),) if result.rig.sources else (),
     )
 
 
@@ -485,8 +483,3 @@ def _response_figure(result: OpenedResult) -> page.PageFigure:
         axes.figure,
         f"M: what a unit of a normal's x, y, z adds to each channel, full scale 1. Ambient: {ambient}.",
     )
-
-
-def _source_table(result: OpenedResult) -> page.PageTable:
-    rows = tuple((source.file, source.sha256[:16] + "…") for source in result.rig.sources)
-    return page.PageTable(headings=("calibrated from", "SHA-256"), rows=rows)

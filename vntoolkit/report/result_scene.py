@@ -206,7 +206,7 @@ class _ResultScene:
 
     def _pictures(self, packet: scene.Packet, number: int) -> dict[str, Any]:
         """Add the frame's pictures; labels stay sharp, since mixed colours would mean other lights."""
-        pictures = pictures_of_frame(self._result, number, ground=_GROUND, beside_normals=_GROUND)
+        pictures = pictures_of_frame(self._result, number, ground=_GROUND)
         pictures["normals"] = scene.normals_block(self._result.normals(number))
         options, entries = self._options, {}
         for name, whole in pictures.items():

@@ -1,33 +1,23 @@
-"""What texts and numbers that a verb is given stand for: a transfer curve, the corners of a gel."""
+"""What numbers that a verb is given stand for: the corners of a gel."""
 
 import dataclasses
 
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.rectification import Rectification
+from vntoolkit.options.shared import CornerOptions
 from vntoolkit.photometry.rig import Rig
-from vntoolkit.photometry.transfer import Transfer
 
 
-def curve_from_text(text: str | None) -> Transfer | None:
-    """Return the curve of --transfer, None where it is not given."""
-    return None if text is None else Transfer.from_text(text)
-
-
-def rig_with_corners(
-    rig: Rig,
-    corners: tuple[float, ...] | None,
-    size_mm: tuple[float, float] | None,
-    filmed_px: tuple[int, int],
-) -> Rig:
+def rig_with_corners(rig: Rig, asked: CornerOptions, filmed_px: tuple[int, int]) -> Rig:
     """Return a gel's rig with the corners of --corners in footage of this size, in place of its own."""
-    if corners is None and size_mm is None:
+    if asked.corners is None and asked.size_mm is None:
         return rig
     if rig.gel is None:
         raise BadInput("--corners: expected the rig of a tactile gel, of `vntoolkit calibrate presses`")
     own, pixel_mm = rig.gel.rectification, 1000.0 / float(rig.camera.matrix[0, 0])
-    if size_mm is None and own is not None:
-        size_mm = (own.width_mm, own.height_mm)
-    view = rectification_from_corners(corners, size_mm, pixel_mm)
+    if asked.size_mm is None and own is not None:
+        asked = CornerOptions(corners=asked.corners, size_mm=(own.width_mm, own.height_mm))
+    view = rectification_from_corners(asked, pixel_mm)
     assert view is not None
     if view.size != (rig.camera.width, rig.camera.height):
         wanted = f"{rig.camera.width * pixel_mm:g} {rig.camera.height * pixel_mm:g}"
@@ -35,19 +25,16 @@ def rig_with_corners(
     return dataclasses.replace(rig, gel=dataclasses.replace(rig.gel, rectification=view, filmed_px=filmed_px))
 
 
-def rectification_from_corners(
-    corners: tuple[float, ...] | None, size_mm: tuple[float, float] | None, pixel_mm: float | None
-) -> Rectification | None:
+def rectification_from_corners(asked: CornerOptions, pixel_mm: float | None) -> Rectification | None:
     """Return the rectification of --corners, --size-mm and --pixel-mm, or None without them.
 
     Without --pixel-mm a pixel is as large as in the picture as filmed, in the mean.
     """
+    corners, size_mm = asked.corners, asked.size_mm
     if corners is None and size_mm is None:
         return None
     if corners is None or size_mm is None:
         raise BadInput("rectification: expected both --corners and --size-mm, got one of them")
     if pixel_mm is None:
-        return Rectification.as_filmed(tuple(corners), *size_mm)
-    return Rectification(
-        corners_px=tuple(corners), width_mm=size_mm[0], height_mm=size_mm[1], pixel_mm=pixel_mm
-    )
+        return Rectification.as_filmed(corners, *size_mm)
+    return Rectification(corners_px=corners, width_mm=size_mm[0], height_mm=size_mm[1], pixel_mm=pixel_mm)
