@@ -18,10 +18,11 @@ from pathlib import Path
 
 import numpy as np
 
+from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.motion import pose_of_frame
+from vntoolkit.io.maps_and_meshes.texture import SurfaceTexture
 from vntoolkit.options.dressing import ClockOptions, DressOptions
 from vntoolkit.pipeline.dress import (
-    CapturedLook,
     DressedFigure,
     captured_look,
     dress,
@@ -81,7 +82,8 @@ def compare(
     found: dict[str, np.ndarray],
     truth: dict[str, np.ndarray],
     within: dict[str, float],
-    look: CapturedLook,
+    camera: Camera | None,
+    texture: SurfaceTexture | None,
 ) -> list[tuple[str, bool]]:
     """Return a line for each property, and whether it arrived."""
     lines = [(f"triangles {len(found['faces'])}", np.array_equal(found["faces"], truth["faces"]))]
@@ -99,38 +101,40 @@ def compare(
     bound = bool(found["has_armature"]) and int(found["groups"]) > 0
     lines.append((f"an armature moves it by {int(found['groups'])} groups of weights", bound))
     lines.append(("it is shaded smooth", bool(found["is_smooth"])))
-    if look.texture is not None and look.texture.albedo is not None:
+    if texture is not None and texture.albedo is not None:
         lines.append(("the material shows the texture", bool(found["material_reads_texture"])))
         lines.append(("the material shows the relief", bool(found["material_reads_relief"])))
     elif "colours" in truth:
         lines.append(("the material shows the colours", bool(found["material_reads_colours"])))
-    if look.camera is not None and look.camera.is_perspective:
+    if camera is not None and camera.is_perspective:
         lines.append(("the camera", bool(found["has_camera"])))
     lines.append((f"{float(found['metres']):g} m a unit", float(found["metres"]) == 1.0))
     return lines
 
 
-def check(dressed: DressedFigure, look: CapturedLook, python: str, folder: Path) -> bool:
+def check(
+    dressed: DressedFigure, camera: Camera | None, texture: SurfaceTexture | None, python: str, folder: Path
+) -> bool:
     """Write, import and compare both formats; print the findings; return whether everything arrived."""
     frames = sorted({0, 1, len(dressed) // 2, len(dressed) - 1})
     truth, arrived = expected(dressed, frames), True
     (folder / "frames.json").write_text(json.dumps(frames))
     for name in ("cloth.usdc", "cloth.glb"):
-        write_dressed_figure(dressed, folder / name, look=look)
+        write_dressed_figure(dressed, folder / name, camera, texture)
         arguments = [str(folder / name), str(folder / "frames.json"), str(folder / f"{name}.npz")]
         within = WITHIN
         if name.endswith(".glb"):  # its key frames lie at seconds: Blender's rate decides at which frames
             rate = dressed.clock.frame_rate_hz
             (folder / "frames.json").write_text(json.dumps([frame * 24 / rate for frame in frames]))
             within = {**WITHIN, "colours": GLB_COLOURS_WITHIN, "vertices": GLB_VERTICES_WITHIN}
-            if look.texture is not None and look.texture.albedo is not None:
+            if texture is not None and texture.albedo is not None:
                 within.pop("colours")  # a GLB has the texture instead
         subprocess.run([python, str(PROBE), *arguments, str(folder / f"{name}.png")], check=True, stdout=2)
         with np.load(folder / f"{name}.npz") as loaded:
             found = dict(loaded)
         if "heads" in found:
             found["heads"] = found["heads"][:, np.argsort(found["joints"])]
-        lines = compare(found, truth, within, look)
+        lines = compare(found, truth, within, camera, texture)
         if name.endswith(".usdc"):
             lines.append(("the skeleton moves", "heads" in found))
             last = int(found["scene_range"][1])
@@ -160,8 +164,8 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as temporary:
         folder = arguments.out or Path(temporary)
         folder.mkdir(parents=True, exist_ok=True)
-        look = captured_look(arguments.track)
-        return 0 if check(dressed, look, arguments.blender, folder) else 1
+        camera, texture = captured_look(arguments.track)
+        return 0 if check(dressed, camera, texture, arguments.blender, folder) else 1
 
 
 if __name__ == "__main__":
