@@ -8,6 +8,7 @@ import pytest
 
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
+from vntoolkit.normals.expected_error import with_expected_error
 from vntoolkit.options.normals import RecoveryMethod
 from vntoolkit.options.simulation import Nuisances, SceneOptions
 from vntoolkit.photometry.frame import LinearFrame, count_lit, labels_from_lit
@@ -16,7 +17,7 @@ from vntoolkit.shadows import surface
 from vntoolkit.shadows.albedo import albedo_from_lit, fill_smoothly
 from vntoolkit.shadows.contributions import contributions_from_rgb
 from vntoolkit.shadows.detector import ShadowDetector
-from vntoolkit.shadows.recovery import recover_normals
+from vntoolkit.shadows.recovery import recover_normals, recovered
 from vntoolkit.shadows.roots import roots_of_labels, spread_of_albedo
 from vntoolkit.shadows.surface import SurfaceOptions, solve_surface
 from vntoolkit.simulation.image_formation import true_response
@@ -36,6 +37,32 @@ def degrees(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 def errors(stage, labels: np.ndarray, method: RecoveryMethod = RecoveryMethod.SURFACE) -> np.ndarray:
     normal_map = recover_normals(stage.frame, labels, stage.response, method=method)
     return degrees(normal_map.normals_in_camera, stage.normals)
+
+
+def test_the_lit_half_of_a_sphere_tells_the_side_and_so_the_error() -> None:
+    """Where it does, the other root is left out of the error; where no lit pixel is near, it is not."""
+    v, u = np.mgrid[-60:61, -60:61] / 120.0
+    normals = np.stack([u, v, -np.sqrt(1 - u**2 - v**2)], axis=-1)
+    lights = np.array([[-0.3, 0.3, -0.9], [0.5, 0.2, -0.85], [-0.3, -0.3, -0.9]])
+    response = LightResponse(matrix=lights, light_colours=np.eye(3))
+
+    def bounds(labels: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        rgb = normals @ lights.T * ((labels[..., None] >> np.arange(3)) & 1)
+        frame = LinearFrame(rgb=rgb.astype(np.float32), clipped=np.zeros(u.shape, bool))
+        found, doubt = recovered(frame, labels, response)
+        error_deg = with_expected_error(found, frame, response, labels, doubt=doubt).error_deg
+        assert error_deg is not None
+        return doubt, error_deg, degrees(found.normals_in_camera, normals)
+
+    half = np.where(u > 0.15, 5, 7).astype(np.uint8)
+    doubt, error_deg, wrong_deg = bounds(half)
+    inside = u > 0.2
+    assert (doubt[inside] < 0.1).all()
+    assert np.mean(wrong_deg[inside] <= error_deg[inside]) > 0.9
+    assert np.median(error_deg[inside]) < 15
+    nothing_lit = bounds(np.full(u.shape, 5, np.uint8))
+    assert (nothing_lit[0] == 0.5).all()
+    assert np.median(nothing_lit[1][inside]) > 30
 
 
 def test_half_a_sphere_follows_from_the_other_half() -> None:

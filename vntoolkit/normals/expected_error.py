@@ -85,6 +85,7 @@ def with_expected_error(
     residual_deg: float = 0.0,
     blur_px: float = 0.0,
     residual_of_pixels: bool = False,
+    doubt: Float32Array | None = None,
 ) -> NormalMap:
     """Return the map with the angle in degrees that nine of ten normals stay within, and the weight from it.
 
@@ -94,7 +95,8 @@ def with_expected_error(
     labels: (h, w), bit k set where light k arrives; None for all, and for normals of the colours alone.
     camera: None for orthographic; distortion is ignored. residual_deg: median residual of the rig's
     calibration. blur_px: standard deviation of the picture's blur, 0 for unknown. residual_of_pixels: whether
-    the residual is that of single pixels, noise included, for which this frame's own stands.
+    the residual is that of single pixels, noise included, for which this frame's own stands. doubt: (h, w),
+    how likely the other of the two normals is that two lights leave; None for as likely.
     Raises `BadInput` for other shapes.
     """
     shape = normal_map.shape
@@ -109,9 +111,12 @@ def with_expected_error(
     noise_deg, noise, constants = _judged(evidence, c, residual_deg, residual_of_pixels)
     error, weight = np.empty(shape, np.float32), np.empty(shape, np.float32)
     found = rows_of(np.ascontiguousarray(normal_map.normals_in_camera, np.float32))
+    # From one in ten on, the other normal must be held too; below that its share of the variance falls.
+    other = np.ones(shape, np.float32) if doubt is None else np.minimum(10 * doubt, 1).astype(np.float32)
     _error_kernel(
-        rows_of(image), found, mask, labels, _pairs_of_lights(response), noise, constants, error, weight
-    )
+        rows_of(image), found, mask, labels, other, _pairs_of_lights(response), noise, constants, error,
+        weight,
+    )  # fmt: skip
     return replace(normal_map, error_deg=error, noise_deg=noise_deg, weight=weight)
 
 
@@ -290,8 +295,8 @@ def _leave_out(
 
 @njit
 def _error_kernel(
-    rgb: Any, normals: Any, mask: Mask, labels: Any, pairs: Any, noise: Any, constants: Any, error: Any,
-    weight: Any,
+    rgb: Any, normals: Any, mask: Mask, labels: Any, other: Any, pairs: Any, noise: Any, constants: Any,
+    error: Any, weight: Any,
 ) -> None:  # fmt: skip
     """Fill (h, w) with the bound in degrees and its weight; 0 outside the mask.
 
@@ -311,7 +316,8 @@ def _error_kernel(
         read_row(rgb[v, 3 * first : 3 * last], r, g, b)
         found = None if labels is None else normals[v, 3 * first : 3 * last]
         if labels is not None:
-            _unlit_row(r, g, b, found, labels[v, first:last], pairs, constants, unlit)
+            label, of_other = labels[v, first:last], other[v, first:last]
+            _unlit_row(r, g, b, found, label, of_other, pairs, constants, unlit)
         _bound_row(
             r, g, b, found, unlit, row_noise, mask[v, first:last], constants,
             slow_changes_at(mask.shape, constants, first, v), length, error[v, first:last],
@@ -321,7 +327,7 @@ def _error_kernel(
 
 @njit
 def _unlit_row(
-    r: Any, g: Any, b: Any, normals: Any, label: Any, pairs: Any, k: Any, unlit: Any
+    r: Any, g: Any, b: Any, normals: Any, label: Any, other: Any, pairs: Any, k: Any, unlit: Any
 ) -> None:  # fmt: skip
     """Fill the squared bounds of a row of pixels that not all lights reach, 0 of the others."""
     zero, one, two = np.float32(0.0), np.float32(1.0), np.float32(2.0)
@@ -355,7 +361,7 @@ def _unlit_row(
         squared = (x - n0) * (x - n0) + (y - n1) * (y - n1) + (z - n2) * (z - n2)
         behind = (x * l0 + y * l1 + z * l2 < zero) & (n0 * l0 + n1 * l1 + n2 * l2 < zero)
         if not behind and n2 - (off + off) * a2 < zero:  # the other normal faces the camera
-            squared += np.float32(4.0) * off * off
+            squared += other[u] * np.float32(4.0) * off * off
         known = squared < np.float32(8.0)  # no NaN
         bound = _PER_DISTANCE * squared + _PER_NOISE * _ALBEDO_SPREAD * _ALBEDO_SPREAD * moved
         unlit[u] = min(max(bound, SHORTEST), _LARGEST_DEG * _LARGEST_DEG) if known else unknown

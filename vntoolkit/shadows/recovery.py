@@ -30,6 +30,7 @@ from vntoolkit.shadows.surface import ALBEDO_SPREAD, LabelledImage, Surface
 _GRAZING = 0.6  # below it the normal solved with the depth stays
 _STEEP = 0.8  # from it on only the colour counts
 _LEAST_AGREED = np.float32(0.1)  # of a lit normal's weight where the depth steps
+_NOTHING_TELLS = 0.5  # the other of two normals is as likely
 _WEIGHT_BY_LIGHTS = (0.05, 0.2, 0.5, 1.0)  # of a normal that 0, 1, 2, 3 lights tell
 
 
@@ -49,6 +50,19 @@ def recover_normals(
     `ShadowDetector.surface` where the labels are that detector's, of the same frame, mask and response; then
     the frame is not split by light again.
     """
+    return recovered(frame, labels, response, mask, camera, method, start)[0]
+
+
+def recovered(
+    frame: LinearFrame,
+    labels: VisibilityLabels,
+    response: LightResponse,
+    mask: Mask | None = None,
+    camera: Camera | None = None,
+    method: RecoveryMethod = RecoveryMethod.SURFACE,
+    start: Surface | None = None,
+) -> tuple[NormalMap, FloatArray]:
+    """Return what `recover_normals` does, and (h, w), how likely the other normal of two lights is."""
     inside = np.ones(frame.shape, dtype=np.bool_) if mask is None else np.asarray(mask)
     require_mask(inside, frame.shape)
     require_shape(labels, frame.shape, "visibility labels")
@@ -57,15 +71,17 @@ def recover_normals(
     window = window_around(inside)
     near = None if camera is None else camera.cropped(*window)
     part, label, here = frame_in_window(frame, window), np.array(labels[window]), np.array(inside[window])
+    doubt: FloatArray = np.full(here.shape, _NOTHING_TELLS, np.float32)
     if method is RecoveryMethod.SURFACE:
-        normals, weight = _with_surface(part, label, response, here, near, start)
+        normals, weight, doubt = _with_surface(part, label, response, here, near, start)
     else:
         normals, weight = _by_pixel(part, label, response, here, method)
-    return NormalMap(
+    normal_map = NormalMap(
         normals_in_camera=in_whole_image(normals, window, frame.shape),
         mask=inside,
         weight=in_whole_image(weight, window, frame.shape),
     )
+    return normal_map, in_whole_image(doubt, window, frame.shape)
 
 
 def _with_surface(
@@ -75,8 +91,8 @@ def _with_surface(
     inside: Mask,
     camera: Camera | None,
     start: Surface | None,
-) -> tuple[FloatArray, Weight]:
-    """Return normals (h, w, 3) and weights, solved together with the depth."""
+) -> tuple[FloatArray, Weight, FloatArray]:
+    """Return normals (h, w, 3) and weights, solved together with the depth, and doubts of the side."""
     if start is not None and start.image is not None:
         image, factor = start.image, shrinking(inside)
     else:
@@ -97,7 +113,10 @@ def _with_surface(
     colour = np.where(lit, weight_of_colour(light), np.float32(0.0))[..., None]
     normals = normals + colour * (light.normals - normals)
     agreed = np.where(lit & (agreement > 0.0), np.maximum(agreement, _LEAST_AGREED), np.float32(1.0))
-    return _towards_viewer(normals, inside), _trust(labels, inside) * agreed
+    doubt = np.full(inside.shape, _NOTHING_TELLS, np.float32)
+    if surface.doubt is not None:
+        doubt = np.asarray(cv2.resize(surface.doubt, inside.shape[::-1], interpolation=cv2.INTER_NEAREST))
+    return _towards_viewer(normals, inside), _trust(labels, inside) * agreed, doubt
 
 
 def weight_of_colour(light: LightContributions) -> Weight:

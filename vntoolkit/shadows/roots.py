@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
+from scipy.special import expit
 
 from vntoolkit.arrays import ByteArray, FloatArray, Mask, VisibilityLabels
 from vntoolkit.native import njit
@@ -30,6 +31,7 @@ _MOST_PAIRS = 50_000  # of neighbours that tell the scale
 _UNKNOWN_SCALE, _LEAST_SCALE = 0.15, 1e-3  # of a difference of normals
 _SHORTEST = np.float32(1e-9)  # of a normal's part in the plane of two lights
 _CERTAIN = 3.0  # standard deviations
+_IN_DOUBT = 0.1  # from here on a root is not that of nine in ten
 _UNKNOWN, _LIT, _TWO = 0, 1, 2
 
 
@@ -37,12 +39,14 @@ class Roots(NamedTuple):
     """Of each pixel the root that the cut took.
 
     normals: (h, w, 3), those of the colours where all lights arrive. known: (h, w), where two lights arrive,
-    or all three. variance: (h, w), of the angle to the plane of two lights, radians².
+    or all three. variance: (h, w), of the angle to the plane of two lights, radians². doubt: (h, w), how
+    likely the other root is; 1/2 where nothing tells.
     """
 
     normals: FloatArray
     known: Mask
     variance: FloatArray
+    doubt: FloatArray
 
 
 def roots_of_labels(
@@ -81,7 +85,24 @@ def roots_of_labels(
     roots = np.where(two[..., None], np.cos(tilt)[..., None] * base + sine * across[wide], light.normals)
     known = mask & ((labels == ALL_LIT) | two)
     normals = np.where((labels == ALL_LIT)[..., None], light.normals, roots).astype(np.float32)
-    return Roots(normals=normals, known=known, variance=variance)
+    return Roots(
+        normals=normals, known=known, variance=variance, doubt=_doubt_of_sides(log_odds, facing, two)
+    )
+
+
+def _doubt_of_sides(log_odds: FloatArray, facing: Mask, two: Mask) -> FloatArray:
+    """Return how likely the other root is by the lit pixels around a patch of one root; 1/2 where none are.
+
+    Neighbours along a border see the same surface: together they say no more than one of them in the mean.
+    """
+    odds: FloatArray = np.zeros(two.shape, np.float32)
+    for sign, side in ((1.0, facing), (-1.0, ~facing)):
+        count, patches = cv2.connectedComponents((two & side).astype(np.uint8), connectivity=4)
+        said = np.bincount(patches.ravel(), sign * log_odds.ravel(), count)
+        mean = said / np.maximum(np.bincount(patches.ravel(), log_odds.ravel() != 0.0, count), 1)
+        mean[0] = 0.0  # the rest of the image
+        odds += mean[patches].astype(np.float32)
+    return np.asarray(expit(-odds), np.float32)
 
 
 def with_sides_of_roots(
@@ -89,12 +110,13 @@ def with_sides_of_roots(
 ) -> FloatArray:
     """Return a surface's normals (h, w, 3), and the roots where it leads to neither of the two.
 
-    Depth may turn a normal over to the other side of the plane of its lights. It is kept where it lies at the
-    other root there, which explains the light as well.
+    Depth may turn a normal over to the other side of the plane of its lights. It is kept where the lit
+    surroundings leave the side in doubt and it lies at the other root, which explains the light as well.
     """
     across = _across(light)[labels]
     sine, start = np.sum(normals * across, axis=-1), np.sum(roots.normals * across, axis=-1)
-    lost = (sine * start < 0.0) & ((sine + start) ** 2 > _CERTAIN**2 * roots.variance)
+    far = (sine + start) ** 2 > _CERTAIN**2 * roots.variance
+    lost = (sine * start < 0.0) & (far | (roots.doubt < _IN_DOUBT))
     return np.where(lost[..., None], roots.normals, normals)
 
 
