@@ -17,7 +17,7 @@ from vntoolkit.shadows import surface
 from vntoolkit.shadows.albedo import albedo_from_lit, fill_smoothly
 from vntoolkit.shadows.contributions import contributions_from_rgb
 from vntoolkit.shadows.detector import ShadowDetector
-from vntoolkit.shadows.recovery import recover_normals, recovered
+from vntoolkit.shadows.recovery import recover_normals
 from vntoolkit.shadows.roots import roots_of_labels, spread_of_albedo
 from vntoolkit.shadows.surface import SurfaceOptions, solve_surface
 from vntoolkit.simulation.image_formation import true_response
@@ -49,15 +49,16 @@ def test_the_lit_half_of_a_sphere_tells_the_side_and_so_the_error() -> None:
     def bounds(labels: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         rgb = normals @ lights.T * ((labels[..., None] >> np.arange(3)) & 1)
         frame = LinearFrame(rgb=rgb.astype(np.float32), clipped=np.zeros(u.shape, bool))
-        found, doubt = recovered(frame, labels, response)
-        error_deg = with_expected_error(found, frame, response, labels, doubt=doubt).error_deg
+        found = recover_normals(frame, labels, response)
+        error_deg = with_expected_error(found, frame, response, labels).error_deg
         assert error_deg is not None
-        return doubt, error_deg, degrees(found.normals_in_camera, normals)
+        assert found.mirror_probability is not None
+        return found.mirror_probability, error_deg, degrees(found.normals_in_camera, normals)
 
     half = np.where(u > 0.15, 5, 7).astype(np.uint8)
-    doubt, error_deg, wrong_deg = bounds(half)
+    mirror, error_deg, wrong_deg = bounds(half)
     inside = u > 0.2
-    assert (doubt[inside] < 0.1).all()
+    assert (mirror[inside] < 0.1).all()
     assert np.mean(wrong_deg[inside] <= error_deg[inside]) > 0.9
     assert np.median(error_deg[inside]) < 15
     nothing_lit = bounds(np.full(u.shape, 5, np.uint8))

@@ -33,7 +33,8 @@ class NormalMap(display.Displayed):
     mask: (h, w) bool. weight: (h, w) float32 confidence from 0 to 1, or None for 1 everywhere in the mask.
     error_deg: (h, w) float32, angle in degrees that nine of ten normals stay within, or None if not known.
     noise_deg: (⌈h/16⌉, ⌈w/16⌉), the part of it that noise makes and neighbours do not share, by cells of
-    16×16 pixels; not kept in files.
+    16×16 pixels; not kept in files. mirror_probability: (h, w), where two lights arrive how likely the true
+    normal is the mirror image of this one in their plane; None if not known; not kept in files.
     """
 
     normals_in_camera: Normals
@@ -41,6 +42,7 @@ class NormalMap(display.Displayed):
     weight: Weight | None = None
     error_deg: FloatArray | None = None
     noise_deg: FloatArray | None = None
+    mirror_probability: FloatArray | None = None
 
     def __post_init__(self) -> None:
         normals = np.asarray(self.normals_in_camera, dtype=np.float32)
@@ -55,6 +57,7 @@ class NormalMap(display.Displayed):
             ("weight", (height, width)),
             ("error_deg", (height, width)),
             ("noise_deg", cells),
+            ("mirror_probability", (height, width)),
         ):
             if getattr(self, name) is not None:
                 values = np.asarray(getattr(self, name), dtype=np.float32)

@@ -85,7 +85,6 @@ def with_expected_error(
     residual_deg: float = 0.0,
     blur_px: float = 0.0,
     residual_of_pixels: bool = False,
-    doubt: Float32Array | None = None,
 ) -> NormalMap:
     """Return the map with the angle in degrees that nine of ten normals stay within, and the weight from it.
 
@@ -95,8 +94,7 @@ def with_expected_error(
     labels: (h, w), bit k set where light k arrives; None for all, and for normals of the colours alone.
     camera: None for orthographic; distortion is ignored. residual_deg: median residual of the rig's
     calibration. blur_px: standard deviation of the picture's blur, 0 for unknown. residual_of_pixels: whether
-    the residual is that of single pixels, noise included, for which this frame's own stands. doubt: (h, w),
-    how likely the other of the two normals is that two lights leave; None for as likely.
+    the residual is that of single pixels, noise included, for which this frame's own stands.
     Raises `BadInput` for other shapes.
     """
     shape = normal_map.shape
@@ -111,8 +109,9 @@ def with_expected_error(
     noise_deg, noise, constants = _judged(evidence, c, residual_deg, residual_of_pixels)
     error, weight = np.empty(shape, np.float32), np.empty(shape, np.float32)
     found = rows_of(np.ascontiguousarray(normal_map.normals_in_camera, np.float32))
-    # From one in ten on, the other normal must be held too; below that its share of the variance falls.
-    other = np.ones(shape, np.float32) if doubt is None else np.minimum(10 * doubt, 1).astype(np.float32)
+    # The bound of nine in ten holds the mirror image whole from a probability of 1/10 on.
+    mirror = normal_map.mirror_probability
+    other = np.ones(shape, np.float32) if mirror is None else np.minimum(10 * mirror, 1).astype(np.float32)
     _error_kernel(
         rows_of(image), found, mask, labels, other, _pairs_of_lights(response), noise, constants, error,
         weight,
@@ -300,7 +299,8 @@ def _error_kernel(
 ) -> None:  # fmt: skip
     """Fill (h, w) with the bound in degrees and its weight; 0 outside the mask.
 
-    normals: (h, 3 w), found. pairs: of `_pairs_of_lights`.
+    normals: (h, 3 w), found. other: (h, w), share of the squared distance to the mirror image that counts.
+    pairs: of `_pairs_of_lights`.
     """
     for v in range(len(mask)):
         error[v, :] = np.float32(0.0)

@@ -267,19 +267,19 @@ class FrameProcessor:
         clipped_share = float(np.count_nonzero(linear.clipped)) / linear.clipped.size
         if self._gel is not None:
             return _result(prepared, self._gel.normals(linear, mask), clipped_share)
-        labels, lamps, doubt, level = None, None, None, linear
+        labels, lamps, level = None, None, linear
         if self._leveller is not None and (self._shadows is not None or self._with_errors):
             level = self._leveller.frame(linear, box_of(mask))
         if self._shadows is not None:
             by_strength = self.by_strength(linear, mask)
-            normal_map, labels, lamps, doubt = self._shadows.normals(level, by_strength, mask)
+            normal_map, labels, lamps = self._shadows.normals(level, by_strength, mask)
         else:
             normal_map = normals_from_frame(linear, self._rig.response, mask, options=self._options.inversion)
         if self._with_errors:
             response = self._central if lamps is None else lamps.separated
             normal_map = expected_error.with_expected_error(
                 normal_map, level, response, None if lamps is None else labels, self.camera,
-                self._residual_deg, self._blur_px, self._residual_of_pixels, doubt,
+                self._residual_deg, self._blur_px, self._residual_of_pixels,
             )  # fmt: skip
             if prepared.turned_deg is not None:
                 normal_map = expected_error.with_added_error(normal_map, prepared.turned_deg)

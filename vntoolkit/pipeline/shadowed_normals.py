@@ -12,7 +12,7 @@ from vntoolkit.photometry.response import LightResponse
 from vntoolkit.shadows.contributions import brighter_than
 from vntoolkit.shadows.detector import ShadowDetector
 from vntoolkit.shadows.lamp_directions import LampDirections, directions_from_shadows, unlit_by_lamp
-from vntoolkit.shadows.recovery import recovered
+from vntoolkit.shadows.recovery import recover_normals
 from vntoolkit.shadows.surface import Surface
 
 
@@ -31,18 +31,16 @@ class ShadowedNormals:
 
     def normals(
         self, level: LinearFrame, by_strength: LinearFrame, mask: Mask
-    ) -> tuple[NormalMap, VisibilityLabels, LampDirections | None, FloatArray | None]:
-        """Return normals, labels (h, w), and where shadows were found lamps, and (h, w), how likely the other
-        normal of two lights is. mask: (h, w).
-        """
+    ) -> tuple[NormalMap, VisibilityLabels, LampDirections | None]:
+        """Return normals, labels (h, w), and lamps where shadows were found by a surface. mask: (h, w)."""
         labels, mask, surface = self._labels(level, by_strength, mask)
         if surface is None and not np.any(labels != ALL_LIT):
-            return normals_from_frame(level, self._central, mask, options=self._inversion), labels, None, None
+            return normals_from_frame(level, self._central, mask, options=self._inversion), labels, None
         lamps = directions_from_shadows(level, labels, self._response, mask)
         is_same = (self._central.light_colours is None) is (lamps.separated.light_colours is None)
         start = surface if is_same and by_strength is level else None
-        found, doubt = recovered(level, labels, lamps.separated, mask, self._camera, start=start)
-        return found, labels, lamps, doubt
+        found = recover_normals(level, labels, lamps.separated, mask, self._camera, start=start)
+        return found, labels, lamps
 
     def unlit_by_lamp(self, level: LinearFrame, by_strength: LinearFrame, mask: Mask) -> list[FloatArray]:
         """Return for each lamp (n, 3), what tells its direction: see `shadows/lamp_directions.py`."""

@@ -50,7 +50,7 @@ def solve_from_start(labelled: LabelledImage, noise: float | None) -> Surface:
     roots = roots_of_labels(light, albedo, labelled.labels, mask, spread)
     surface = trusted.solve(options, first_normals=roots.normals, assumed=roots.known)
     sides = with_sides_of_roots(surface.normals, roots, labelled.labels, light)
-    return replace(surface, normals=sides, doubt=roots.doubt)
+    return replace(surface, normals=sides, mirror_probability=roots.mirror_probability)
 
 
 # How noisy the normals of one frame are: as far as no surface has them.

@@ -30,7 +30,6 @@ from vntoolkit.shadows.surface import ALBEDO_SPREAD, LabelledImage, Surface
 _GRAZING = 0.6  # below it the normal solved with the depth stays
 _STEEP = 0.8  # from it on only the colour counts
 _LEAST_AGREED = np.float32(0.1)  # of a lit normal's weight where the depth steps
-_NOTHING_TELLS = 0.5  # the other of two normals is as likely
 _WEIGHT_BY_LIGHTS = (0.05, 0.2, 0.5, 1.0)  # of a normal that 0, 1, 2, 3 lights tell
 
 
@@ -50,19 +49,6 @@ def recover_normals(
     `ShadowDetector.surface` where the labels are that detector's, of the same frame, mask and response; then
     the frame is not split by light again.
     """
-    return recovered(frame, labels, response, mask, camera, method, start)[0]
-
-
-def recovered(
-    frame: LinearFrame,
-    labels: VisibilityLabels,
-    response: LightResponse,
-    mask: Mask | None = None,
-    camera: Camera | None = None,
-    method: RecoveryMethod = RecoveryMethod.SURFACE,
-    start: Surface | None = None,
-) -> tuple[NormalMap, FloatArray]:
-    """Return what `recover_normals` does, and (h, w), how likely the other normal of two lights is."""
     inside = np.ones(frame.shape, dtype=np.bool_) if mask is None else np.asarray(mask)
     require_mask(inside, frame.shape)
     require_shape(labels, frame.shape, "visibility labels")
@@ -71,17 +57,17 @@ def recovered(
     window = window_around(inside)
     near = None if camera is None else camera.cropped(*window)
     part, label, here = frame_in_window(frame, window), np.array(labels[window]), np.array(inside[window])
-    doubt: FloatArray = np.full(here.shape, _NOTHING_TELLS, np.float32)
+    mirror: FloatArray | None = None
     if method is RecoveryMethod.SURFACE:
-        normals, weight, doubt = _with_surface(part, label, response, here, near, start)
+        normals, weight, mirror = _with_surface(part, label, response, here, near, start)
     else:
         normals, weight = _by_pixel(part, label, response, here, method)
-    normal_map = NormalMap(
+    return NormalMap(
         normals_in_camera=in_whole_image(normals, window, frame.shape),
         mask=inside,
         weight=in_whole_image(weight, window, frame.shape),
+        mirror_probability=None if mirror is None else in_whole_image(mirror, window, frame.shape),
     )
-    return normal_map, in_whole_image(doubt, window, frame.shape)
 
 
 def _with_surface(
@@ -91,8 +77,8 @@ def _with_surface(
     inside: Mask,
     camera: Camera | None,
     start: Surface | None,
-) -> tuple[FloatArray, Weight, FloatArray]:
-    """Return normals (h, w, 3) and weights, solved together with the depth, and doubts of the side."""
+) -> tuple[FloatArray, Weight, FloatArray | None]:
+    """Return normals (h, w, 3), solved together with the depth, weights and mirror probabilities."""
     if start is not None and start.image is not None:
         image, factor = start.image, shrinking(inside)
     else:
@@ -113,10 +99,10 @@ def _with_surface(
     colour = np.where(lit, weight_of_colour(light), np.float32(0.0))[..., None]
     normals = normals + colour * (light.normals - normals)
     agreed = np.where(lit & (agreement > 0.0), np.maximum(agreement, _LEAST_AGREED), np.float32(1.0))
-    doubt = np.full(inside.shape, _NOTHING_TELLS, np.float32)
-    if surface.doubt is not None:
-        doubt = np.asarray(cv2.resize(surface.doubt, inside.shape[::-1], interpolation=cv2.INTER_NEAREST))
-    return _towards_viewer(normals, inside), _trust(labels, inside) * agreed, doubt
+    mirror = surface.mirror_probability
+    if mirror is not None:
+        mirror = np.asarray(cv2.resize(mirror, inside.shape[::-1], interpolation=cv2.INTER_NEAREST))
+    return _towards_viewer(normals, inside), _trust(labels, inside) * agreed, mirror
 
 
 def weight_of_colour(light: LightContributions) -> Weight:

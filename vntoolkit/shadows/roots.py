@@ -31,7 +31,7 @@ _MOST_PAIRS = 50_000  # of neighbours that tell the scale
 _UNKNOWN_SCALE, _LEAST_SCALE = 0.15, 1e-3  # of a difference of normals
 _SHORTEST = np.float32(1e-9)  # of a normal's part in the plane of two lights
 _CERTAIN = 3.0  # standard deviations
-_IN_DOUBT = 0.1  # from here on a root is not that of nine in ten
+_UNLIKELY = 0.1  # probability of the other root below which depth may not turn a normal to it
 _UNKNOWN, _LIT, _TWO = 0, 1, 2
 
 
@@ -39,14 +39,14 @@ class Roots(NamedTuple):
     """Of each pixel the root that the cut took.
 
     normals: (h, w, 3), those of the colours where all lights arrive. known: (h, w), where two lights arrive,
-    or all three. variance: (h, w), of the angle to the plane of two lights, radians². doubt: (h, w), how
-    likely the other root is; 1/2 where nothing tells.
+    or all three. variance: (h, w), of the angle to the plane of two lights, radians². mirror_probability:
+    (h, w), how likely the other root is; 1/2 where nothing tells.
     """
 
     normals: FloatArray
     known: Mask
     variance: FloatArray
-    doubt: FloatArray
+    mirror_probability: FloatArray
 
 
 def roots_of_labels(
@@ -85,12 +85,11 @@ def roots_of_labels(
     roots = np.where(two[..., None], np.cos(tilt)[..., None] * base + sine * across[wide], light.normals)
     known = mask & ((labels == ALL_LIT) | two)
     normals = np.where((labels == ALL_LIT)[..., None], light.normals, roots).astype(np.float32)
-    return Roots(
-        normals=normals, known=known, variance=variance, doubt=_doubt_of_sides(log_odds, facing, two)
-    )
+    mirror = _mirror_probability(log_odds, facing, two)
+    return Roots(normals=normals, known=known, variance=variance, mirror_probability=mirror)
 
 
-def _doubt_of_sides(log_odds: FloatArray, facing: Mask, two: Mask) -> FloatArray:
+def _mirror_probability(log_odds: FloatArray, facing: Mask, two: Mask) -> FloatArray:
     """Return how likely the other root is by the lit pixels around a patch of one root; 1/2 where none are.
 
     Neighbours along a border see the same surface: together they say no more than one of them in the mean.
@@ -116,7 +115,7 @@ def with_sides_of_roots(
     across = _across(light)[labels]
     sine, start = np.sum(normals * across, axis=-1), np.sum(roots.normals * across, axis=-1)
     far = (sine + start) ** 2 > _CERTAIN**2 * roots.variance
-    lost = (sine * start < 0.0) & (far | (roots.doubt < _IN_DOUBT))
+    lost = (sine * start < 0.0) & (far | (roots.mirror_probability < _UNLIKELY))
     return np.where(lost[..., None], roots.normals, normals)
 
 

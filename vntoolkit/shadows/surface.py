@@ -85,14 +85,14 @@ class Surface:
     normals: (h, w, 3) unit, camera frame. depth: (h, w) float32, pixels (orthographic) or f · log z.
     agreement: (h, w), 0 to 1, how far depth and colour agree on a fully lit pixel's slope, 0 at the border
     and on another grid than the surface was solved on. image: what it was solved from, where others go on
-    from it. doubt: (h, w), how likely the other of the two normals is that two lights leave, or None.
+    from it. mirror_probability: as in `NormalMap`.
     """
 
     normals: FloatArray
     depth: Grid
     agreement: Grid
     image: WorkingImage | None = None
-    doubt: FloatArray | None = None
+    mirror_probability: FloatArray | None = None
 
     def enlarged(self, shape: tuple[int, ...], factor: int) -> "Surface":
         """Return a start on a grid `factor` times finer; depth counts pixels, so it grows too."""
