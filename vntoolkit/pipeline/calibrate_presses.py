@@ -29,14 +29,8 @@ from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import Transfer, TransferCurve, encoded_from_linear, linear_from_encoded
 from vntoolkit.pipeline.corners import rectification_from_corners
-from vntoolkit.tactile.circles import (
-    FoundCircle,
-    Press,
-    aspect_of_contact,
-    find_contact_circle,
-    shrunk_change,
-)
-from vntoolkit.tactile.dots import DotFilter
+from vntoolkit.tactile.circles import FoundCircle, Press, aspect_of_contact, find_contact_circle
+from vntoolkit.tactile.dots import DotFilter, shrunk
 from vntoolkit.tactile.fit import GelFit, angle_of_one_matrix, fit_gel_to_presses, largest_label_offset
 from vntoolkit.tactile.inversion import change_without_drift
 from vntoolkit.tactile.presses import PressSamples, samples_from_press
@@ -351,7 +345,7 @@ def _read(reader: PressReader, options: PressOptions, rng: np.random.Generator) 
         samples = labelled = found = small = aspect = None
         if not reader.passes_over(name):
             change, filled = reader.change(job.prepare(frame))
-            found, small = find_contact_circle(change), shrunk_change(change)
+            found, small = find_contact_circle(change), shrunk(change)
             if found is not None and job.rectification is None:  # corners take a size each way
                 aspect = aspect_of_contact(change, found.press)
             labelled = reader.labelled(name)

@@ -15,9 +15,9 @@ from scipy import fft
 
 from vntoolkit.arrays import FloatArray, LinearImage
 from vntoolkit.checks import require_shape
+from vntoolkit.tactile.dots import shrunk, step_of
 
-_SEARCHED_PX = 120  # shorter side of the picture that is searched; the middle is found between its pixels
-_BLUR_PX = 1.0  # there: what is left of dots and grain is no dent
+_BLUR_PX = 1.0  # of the shrunk picture: what is left of dots and grain is no dent
 _NOISE_FACTOR = 3.0  # changes below so many times the median are noise, and are shrunk to 0
 _SMALLEST_RADIUS_PX = 3
 _RAYS, _ROUNDS = 24, 8  # from the middle of a contact; of a robust fit
@@ -45,8 +45,7 @@ class FoundCircle:
 def find_contact_circle(change: LinearImage) -> FoundCircle | None:
     """Find the dent of one ball in a change of colour (h, w, 3) without drift and dots; None without one."""
     require_shape(change, (None, None, 3), "change of colour")
-    step = _step_of(change)
-    small = shrunk_change(change)
+    step, small = step_of(change.shape), shrunk(change)
     height, width = small.shape[:2]
     small = np.asarray(cv2.GaussianBlur(small, (0, 0), _BLUR_PX), dtype=np.float32)
     strength = np.linalg.norm(small, axis=2)
@@ -95,18 +94,6 @@ def aspect_of_contact(change: LinearImage, press: Press) -> float | None:
         left = np.abs(logs - design @ found)
         weight = 1.0 / np.sqrt(1.0 + (left / (2.0 * np.median(left) + 1e-6)) ** 2)
     return float(np.exp(-2.0 * found[1]))
-
-
-def shrunk_change(change: LinearImage) -> LinearImage:
-    """A change of colour (h, w, 3) as it is searched, its shorter side 120 to 239 pixels long."""
-    step = _step_of(change)
-    height, width = change.shape[0] // step, change.shape[1] // step
-    whole = change[: height * step, : width * step]
-    return np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA), dtype=np.float32)
-
-
-def _step_of(change: LinearImage) -> int:
-    return max(1, min(change.shape[:2]) // _SEARCHED_PX)
 
 
 def _peak(values: FloatArray, at: int) -> float:
