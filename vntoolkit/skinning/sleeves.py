@@ -55,11 +55,6 @@ class Sleeve:
         """Length of the axis."""
         return float(self.stations[-1])
 
-    @property
-    def radius(self) -> float:
-        """Median radius."""
-        return float(np.median(self.radii))
-
     def point_at(self, along: float) -> Vector3:
         """Return (3,): the point of the axis at a length from the armhole; beyond its ends, on their line."""
         stations, end = self.stations, len(self.axis) - 1
