@@ -30,9 +30,6 @@ _HOLD = 2.0  # heat that a vertex takes from its bone: 1 blends wider, 4 stretch
 _LEAST_COTANGENT, _MOST_COTANGENT = 0.01, 100.0  # a negative one could make a weight negative
 _GUESSED = 1e-3  # how a vertex that covers no bone holds the nearest, beside one that covers its own
 _NEAREST = 1e-2  # of the skeleton's height: nearer counts as this near
-KnownParts = dict[
-    tuple[bytes, ...], tuple[IntArray, FloatArray]
-]  # joints and shares, by all they follow from
 _CLOSER = 1 - 1e-9  # of the ball so far: bones meet at joints, where the first of them is taken
 
 
@@ -61,7 +58,6 @@ def weights_of_garment(
     options: WeightOptions,
     cover: GarmentCover = _WITHOUT_SLEEVES,
     stiffness: FloatArray | None = None,
-    known: KnownParts | None = None,
 ) -> skin_weights.SkinWeights:
     """Weigh a garment, on the skeleton in the pose (j, 4, 4), by the rule that the options name.
 
@@ -75,8 +71,7 @@ def weights_of_garment(
     stretches by ρ |∇s|, and div(ρ² ∇s) = 0 makes its square least. On the shoulders the trunk takes hold by
     heat. Within its share each arm, and the rest of the body, weighs its bones by heat.
 
-    stiffness: (n,) where it is greater, the share of an arm changes more slowly along the cloth. known: parts
-    solved before, of which those that have not changed are taken.
+    stiffness: (n,) where it is greater, the share of an arm changes more slowly along the cloth.
     """
     if options.falloff is not Falloff.HEAT:
         return skin_weights.weights_from_distances(garment.vertices, skeleton, pose, options)
@@ -86,10 +81,10 @@ def weights_of_garment(
     body = [joint for joint in range(len(skeleton.names)) if joint not in taken]
     joints, distances, hold = _own_bones(garment, skeleton, pose, options, body)
     even = np.ones(len(joints)) if stiffness is None else stiffness
-    cloth, known = _Cloth.of(garment), {} if known is None else known
+    cloth = _Cloth.of(garment)
     shares = _arm_shares(garment.vertices, cloth, cover.trunk, sleeves, distances, even)
     left = 1.0 - shares.sum(axis=1)
-    parts = [(left, *_spread_within(left > 0, cloth, joints, distances, hold, known))]
+    parts = [(left, *_spread_within(left > 0, cloth, joints, distances, hold))]
     for one, share in zip(sleeves, shares.T, strict=True):
         turning, *ends = skin_weights.attracting_bones(skeleton, pose, options.exclude, one.arm.joints)
         placed = cover.bones_from_pose[turning]
@@ -100,7 +95,7 @@ def weights_of_garment(
         nearest, gaps = skin_weights.nearest_joints(garment.vertices, *bones, count=1)
         gaps = np.maximum(gaps[:, 0], _least_distance(skeleton, bones[1]))
         sure = np.ones(len(gaps))
-        parts.append((share, *_spread_within(share > 0, cloth, nearest[:, 0], gaps, sure, known)))
+        parts.append((share, *_spread_within(share > 0, cloth, nearest[:, 0], gaps, sure)))
     used = np.concatenate([joints for _, joints, _ in parts])
     weights = np.concatenate([share[:, None] * within for share, _, within in parts], axis=1)
     return _heaviest(used, weights, options.bones)
@@ -124,8 +119,7 @@ def weights_without_web(
     bears that, so the capture joined what only touched. Weights by distance know no triangles: they would
     stay, web and all, so nothing is cut for them, nor at 0.
     """
-    known: KnownParts = {}
-    weights = weights_of_garment(garment, skeleton, pose, options, cover, known=known)
+    weights = weights_of_garment(garment, skeleton, pose, options, cover)
     faces = garment.faces
     if options.falloff is not Falloff.HEAT or not max_stretch:
         return weights, faces
@@ -140,7 +134,7 @@ def weights_without_web(
     most = np.ones(len(garment.vertices))
     np.maximum.at(most, faces.ravel(), np.repeat(np.minimum(growth, max_stretch), 3))
     left = Mesh(vertices=garment.vertices, faces=faces[~web])
-    return weights_of_garment(left, skeleton, pose, options, cover, most**2, known), left.faces
+    return weights_of_garment(left, skeleton, pose, options, cover, most**2), left.faces
 
 
 def _arm_shares(
@@ -171,19 +165,10 @@ def _arm_shares(
 
 
 def _spread_within(
-    inside: Mask,
-    cloth: _Cloth,
-    joints: IntArray,
-    distances: FloatArray,
-    hold: FloatArray,
-    known: KnownParts,
+    inside: Mask, cloth: _Cloth, joints: IntArray, distances: FloatArray, hold: FloatArray
 ) -> tuple[IntArray, FloatArray]:
     """Let heat spread over a part (n,) of the garment alone; elsewhere the shares are 0."""
-    part, values = cloth.part(inside), (joints[inside], distances[inside], hold[inside])
-    key = tuple(value.tobytes() for value in (inside, part.faces, *values))
-    if key not in known:
-        known[key] = _spread(part, *values)
-    used, within = known[key]
+    used, within = _spread(cloth.part(inside), joints[inside], distances[inside], hold[inside])
     shares = np.zeros((len(inside), len(used)))
     shares[inside] = within
     return used, shares
