@@ -27,22 +27,14 @@ _LEAST_SYMMETRY = 0.4  # 1 where all of the change is odd about the middle, 0 fo
 
 @dataclass(frozen=True, kw_only=True)
 class Press:
-    """One press as labelled: centre (u, v) and radius of the contact circle, pixels."""
+    """One press, labelled or found: centre (u, v) and radius of the contact circle, pixels."""
 
     u_px: float
     v_px: float
     radius_px: float
 
 
-@dataclass(frozen=True, kw_only=True)
-class FoundCircle:
-    """A contact circle and how odd the change is about its middle, at most 1."""
-
-    press: Press
-    symmetry: float
-
-
-def find_contact_circle(change: LinearImage) -> FoundCircle | None:
+def find_contact_circle(change: LinearImage) -> Press | None:
     """Find the dent of one ball in a change of colour (h, w, 3) without drift and dots; None without one."""
     require_shape(change, (None, None, 3), "change of colour")
     step, small = step_of(change.shape), shrunk(change)
@@ -57,8 +49,7 @@ def find_contact_circle(change: LinearImage) -> FoundCircle | None:
     spectrum = fft.rfft2(small, (2 * height, 2 * width), axes=(0, 1))
     odd = -np.asarray(fft.irfft2((spectrum**2).sum(axis=2), (2 * height, 2 * width)))
     row, column = np.unravel_index(int(np.argmax(odd)), odd.shape)
-    symmetry = float(odd[row, column]) / energy
-    if symmetry < _LEAST_SYMMETRY:
+    if odd[row, column] < _LEAST_SYMMETRY * energy:
         return None
     v = (row + _peak(odd[:, column], int(row))) / 2
     u = (column + _peak(odd[row], int(column))) / 2
@@ -66,8 +57,7 @@ def find_contact_circle(change: LinearImage) -> FoundCircle | None:
     if radius is None:
         return None
     middle = (step - 1) / 2  # of a block of pixels
-    press = Press(u_px=u * step + middle, v_px=v * step + middle, radius_px=radius * step)
-    return FoundCircle(press=press, symmetry=symmetry)
+    return Press(u_px=u * step + middle, v_px=v * step + middle, radius_px=radius * step)
 
 
 def aspect_of_contact(change: LinearImage, press: Press) -> float | None:
