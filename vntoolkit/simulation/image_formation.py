@@ -8,7 +8,7 @@ from vntoolkit.arrays import FloatArray, Matrix3, Vector3
 from vntoolkit.errors import BadInput
 from vntoolkit.options.simulation import Nuisances
 from vntoolkit.photometry.response import LightResponse, ResponseVariation, powers_to_degree
-from vntoolkit.simulation.lights import colour_from_spectrum
+from vntoolkit.simulation.lights import camera_sensitivities, colour_from_spectrum, rgb_pigments
 from vntoolkit.simulation.scene import Scene
 
 _GRID = 15  # samples across and down the image
@@ -45,7 +45,7 @@ def exposure_of_scene(scene: Scene, nuisances: Nuisances) -> Exposure:
 
     The exposure is that of the full scene whichever nuisance is off, so that nothing else changes.
     """
-    lights, pigments, sensor = scene.lights, scene.surface.pigments, scene.sensitivities
+    lights, pigments, sensor = scene.lights, rgb_pigments(), camera_sensitivities()
     colours = np.array([[light_colour(s, p, sensor) for p in pigments] for s in lights.spectra])
     ambient = np.array([light_colour(lights.ambient_spectrum, p, sensor) for p in pigments])
     gloss = colour_from_spectrum(lights.spectra, sensor)

@@ -15,8 +15,10 @@ from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.options.simulation import Lighting
 
+FRAME_RATE_HZ = 60.0  # of the camera
 WAVELENGTHS_NM = np.arange(380.0, 731.0, 5.0)
 _STEP_NM = 5.0
+_AMBIENT_LEVEL = 0.02
 _LAMP_TEMPERATURE_K = 3200.0
 _SECOND_RADIATION_CONSTANT_NM_K = 1.4387769e7
 
@@ -53,9 +55,9 @@ def white_lamp() -> FloatArray:
     return np.linalg.solve(seen.T, np.ones(3)) @ bands
 
 
-def room_glow(level: float) -> FloatArray:
-    """Return (λ,) ambient light as `level` of a white lamp's light."""
-    return level * white_lamp()
+def room_glow() -> FloatArray:
+    """Return (λ,) ambient light, a share of a white lamp's light."""
+    return _AMBIENT_LEVEL * white_lamp()
 
 
 def colour_from_spectrum(power: FloatArray, sensitivities: FloatArray) -> FloatArray:
@@ -154,7 +156,6 @@ CAMERA_DISTANCE_M = 5.0
 _LIGHT_DISTANCES_M = (5.2, 4.8, 5.4)
 _LIGHT_AZIMUTHS_DEG = (155.0, 35.0, 270.0)  # about the optical axis, 0 = right, 90 = down, seen by the camera
 _LIGHT_OFF_AXIS_DEG = 18.0  # on a cone of 18° the lights are 30° to 32° apart, and not in one plane
-_AMBIENT_LEVEL = 0.02
 
 
 def studio_camera(width: int, height: int, field_width_m: float) -> Camera:
@@ -185,4 +186,4 @@ def studio_lights() -> Lights:
         axis=1,
     )
     positions = studio_centre() + np.array(_LIGHT_DISTANCES_M)[:, None] * towards
-    return Lights(positions=positions, spectra=coloured_lamps(), ambient_spectrum=room_glow(_AMBIENT_LEVEL))
+    return Lights(positions=positions, spectra=coloured_lamps(), ambient_spectrum=room_glow())

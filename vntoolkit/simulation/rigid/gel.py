@@ -20,7 +20,6 @@ _FIELD_WIDTH_M = 16e-3
 _CAMERA_DISTANCE_M = 0.04
 _LAMPS_M = 0.018  # of each from the axis, and as far towards the camera: near, at 45 degrees
 _AZIMUTHS_DEG = (180.0, 60.0, 300.0)
-_AMBIENT_LEVEL = 0.02
 _EXPOSURE = 0.5  # near the lamps the gel is brighter than in the middle, and must not clip
 _CELLS = 260  # across the gel: of 0.08 mm
 _MARGIN = 1.3  # of the gel over the field
@@ -98,7 +97,7 @@ def _lamps() -> Lights:
     around = np.deg2rad(_AZIMUTHS_DEG)
     across = _LAMPS_M * np.stack([np.cos(around), np.sin(around)], axis=-1)
     positions = np.column_stack([across, np.full(3, _CAMERA_DISTANCE_M - _LAMPS_M)])
-    return Lights(positions=positions, spectra=coloured_lamps(), ambient_spectrum=room_glow(_AMBIENT_LEVEL))
+    return Lights(positions=positions, spectra=coloured_lamps(), ambient_spectrum=room_glow())
 
 
 def _dot() -> FloatArray:
