@@ -13,7 +13,7 @@ from vntoolkit.arrays import FloatArray, Points, read_only
 from vntoolkit.checks import require_finite, require_shape
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
-from vntoolkit.options.simulation import Lighting
+from vntoolkit.options.simulation import Lighting, SceneOptions
 
 FRAME_RATE_HZ = 60.0  # of the camera
 WAVELENGTHS_NM = np.arange(380.0, 731.0, 5.0)
@@ -158,14 +158,17 @@ _LIGHT_AZIMUTHS_DEG = (155.0, 35.0, 270.0)  # about the optical axis, 0 = right,
 _LIGHT_OFF_AXIS_DEG = 18.0  # on a cone of 18° the lights are 30° to 32° apart, and not in one plane
 
 
-def studio_camera(width: int, height: int, field_width_m: float) -> Camera:
+def studio_camera(options: SceneOptions, field_width_m: float) -> Camera:
     """Return a pinhole camera that sees `field_width_m` across at the subject, 5 m away.
 
-    Where the image is flatter than 4:3 the field's height is kept at 3/4 of `field_width_m`, so that the
-    subject stays whole.
+    The options may ask for another width. Where the image is flatter than 4:3 the field's height is kept at
+    3/4 of its width, so that the subject stays whole.
     """
-    pixels_per_metre = min(width / field_width_m, height / (0.75 * field_width_m))
-    return Camera.pinhole(width=width, height=height, focal_px=pixels_per_metre * CAMERA_DISTANCE_M)
+    field_width_m = options.field_width_m or field_width_m
+    pixels_per_metre = min(options.width / field_width_m, options.height / (0.75 * field_width_m))
+    return Camera.pinhole(
+        width=options.width, height=options.height, focal_px=pixels_per_metre * CAMERA_DISTANCE_M
+    )
 
 
 def studio_centre() -> np.ndarray[tuple[int], np.dtype[np.float64]]:

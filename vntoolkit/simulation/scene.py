@@ -7,8 +7,7 @@ origin); the subject stands at `studio_centre()` = (0, 0, 5).
     def build_sphere(options: SceneOptions) -> Scene:
         return Scene(
             name="sphere",
-            camera=studio_camera(options.width, options.height, field_width_m=options.field_width_m or 1.0),
-            lights=studio_lights(),
+            camera=studio_camera(options, field_width_m=1.0),
             surface=SceneSurface(faces=faces, vertex_weights=weights),     # weights of the RGB pigments
             vertices=lambda frame: template + shift(frame),            # (n, 3) float64
             frame_count=60,
@@ -122,10 +121,10 @@ class Scene:
 
     name: str
     camera: Camera
-    lights: studio.Lights
     surface: SceneSurface
     vertices: Callable[[int], Points]
     frame_count: int
+    lights: studio.Lights = field(default_factory=studio.studio_lights)
     centre: Points = field(default_factory=studio.studio_centre)
     background_rgb: float = 0.003
     exposure_level: float = 0.8

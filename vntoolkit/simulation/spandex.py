@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from vntoolkit.arrays import FloatArray, Points
 from vntoolkit.options.simulation import SceneOptions
-from vntoolkit.simulation.lights import FRAME_RATE_HZ, studio_camera, studio_centre, studio_lights
+from vntoolkit.simulation.lights import FRAME_RATE_HZ, studio_camera, studio_centre
 from vntoolkit.simulation.scene import Scene, SceneSurface
 from vntoolkit.simulation.shapes import read_shape, smooth_step
 
@@ -42,8 +42,7 @@ def build_spandex(options: SceneOptions) -> Scene:
 
     return Scene(
         name="spandex",
-        camera=studio_camera(options.width, options.height, options.field_width_m or _FIELD_WIDTH_M),
-        lights=studio_lights(),
+        camera=studio_camera(options, _FIELD_WIDTH_M),
         surface=surface,
         vertices=vertices,
         frame_count=_FRAMES,

@@ -15,7 +15,7 @@ from vntoolkit.arrays import Faces, FloatArray, IntArray, Points, Points2
 from vntoolkit.geometry.mesh import vertex_normals
 from vntoolkit.options.simulation import SceneOptions
 from vntoolkit.simulation.garment.solver import THICKNESS_M, Capsules, ClothSolver, Garment
-from vntoolkit.simulation.lights import FRAME_RATE_HZ, studio_camera, studio_centre, studio_lights
+from vntoolkit.simulation.lights import FRAME_RATE_HZ, studio_camera, studio_centre
 from vntoolkit.simulation.scene import Detail, Scene, SceneSurface
 from vntoolkit.simulation.shapes import read_shape, smooth_step
 
@@ -99,8 +99,7 @@ def _dancing(
     )
     return Scene(
         name=name,
-        camera=studio_camera(options.width, options.height, options.field_width_m or _FIELD_WIDTH_M),
-        lights=studio_lights(),
+        camera=studio_camera(options, _FIELD_WIDTH_M),
         surface=surface,
         vertices=_refined(garment, refine, faces, relief),
         frame_count=_FRAMES,

@@ -10,7 +10,7 @@ from vntoolkit.geometry.mesh import vertex_normals
 from vntoolkit.geometry.rigid import RigidTransform
 from vntoolkit.options.simulation import SceneOptions
 from vntoolkit.simulation.grids import closed_columns, grid_faces, grid_uv
-from vntoolkit.simulation.lights import studio_camera, studio_centre, studio_lights
+from vntoolkit.simulation.lights import studio_camera, studio_centre
 from vntoolkit.simulation.relief import twill_weave
 from vntoolkit.simulation.scene import Detail, Scene, SceneSurface
 
@@ -36,8 +36,7 @@ def build_jacket(options: SceneOptions) -> Scene:
     standing = pose.apply(vertices)
     return Scene(
         name="jacket",
-        camera=studio_camera(options.width, options.height, field_width_m=options.field_width_m or 1.05),
-        lights=studio_lights(),
+        camera=studio_camera(options, field_width_m=1.05),
         surface=surface,
         vertices=lambda _frame: standing,
         frame_count=1,
