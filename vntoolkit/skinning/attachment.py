@@ -23,9 +23,8 @@ from vntoolkit.options.dressing import Falloff, WeightOptions
 from vntoolkit.skinning import weights as skin_weights
 from vntoolkit.skinning.alignment import SleevedArm
 from vntoolkit.skinning.blending import skinned_vertices
-from vntoolkit.skinning.stretch import edge_lengths, greatest_growth
+from vntoolkit.skinning.stretch import STRETCHED, edge_lengths, greatest_growth
 
-_EASY = 2.0  # cloth that stretches no more needs no other weights
 _HOLD = 2.0  # heat that a vertex takes from its bone: 1 blends wider, 4 stretches arms raised high
 _LEAST_COTANGENT, _MOST_COTANGENT = 0.01, 100.0  # a negative one could make a weight negative
 _GUESSED = 1e-3  # how a vertex that covers no bone holds the nearest, beside one that covers its own
@@ -129,7 +128,7 @@ def weights_without_web(
         growth = np.maximum(growth, greatest_growth(moved, faces, longest))
     heaviest = weights.joints[np.arange(len(weights.joints)), weights.weights.argmax(axis=1)]
     web = (growth > max_stretch) & (np.ptp(heaviest[faces], axis=1) > 0)
-    if not web.any() and not (cover.sleeves and growth.max(initial=1.0) > _EASY):
+    if not web.any() and not (cover.sleeves and growth.max(initial=1.0) > STRETCHED):
         return weights, faces
     most = np.ones(len(garment.vertices))
     np.maximum.at(most, faces.ravel(), np.repeat(np.minimum(growth, max_stretch), 3))

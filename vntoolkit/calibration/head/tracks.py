@@ -12,7 +12,7 @@ from vntoolkit.options.head import HeadSteps
 
 _CORNER_QUALITY = 0.003  # the weakest corner as a share of the strongest
 _THERE_AND_BACK_PX = 0.5  # a point that is followed to the next frame and back lands within this, or is lost
-_LEAST_FRAMES = 4  # shorter tracks are dropped
+LEAST_FRAMES = 4  # shorter tracks are dropped
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -89,7 +89,7 @@ class TrackBuilder:
             frame_count=self._frame,
         )
         lengths = np.bincount(tracks.point, minlength=self._next_point)
-        return tracks.of_points(lengths >= _LEAST_FRAMES)
+        return tracks.of_points(lengths >= LEAST_FRAMES)
 
     def _allowed(self, mask: Mask) -> ByteArray:
         """Erode the silhouette, where texture is seen at a slant and its border moves; edges count too."""

@@ -12,6 +12,7 @@ from vntoolkit.geometry.camera import Camera
 from vntoolkit.options.simulation import SceneOptions
 from vntoolkit.simulation.grids import grid_faces, grid_uv
 from vntoolkit.simulation.lights import Lights, coloured_lamps, room_glow
+from vntoolkit.simulation.rigid.sphere import PAINT
 from vntoolkit.simulation.scene import Scene, SceneSurface
 
 BALL_RADIUS_M = 2.4e-3
@@ -27,7 +28,6 @@ _CONTACTS = (0.45, 0.65)  # radius of the contact over the ball's
 _DOTS_APART_M, _DOT_M = 1.6e-3, 0.36e-3
 _DOT_REFLECTS = 0.3  # of what the gel does
 _DOT_TEXELS = 32
-_PAINT = (0.62, 0.60, 0.58)  # a nearly neutral matte grey
 
 
 def build_gel(options: SceneOptions) -> Scene:
@@ -57,8 +57,8 @@ def build_gel(options: SceneOptions) -> Scene:
         lights=_lamps(),
         surface=SceneSurface(
             faces=grid_faces(np.arange(count).reshape(rows, columns)),
-            reference_weights=np.array(_PAINT),
-            texture=_dot()[..., None] * np.array(_PAINT),
+            reference_weights=np.array(PAINT),
+            texture=_dot()[..., None] * np.array(PAINT),
             uv=grid_uv(rows, columns) * size_m / _DOTS_APART_M,
         ),
         vertices=vertices,

@@ -11,7 +11,7 @@ from vntoolkit.simulation.scene import Scene, SceneSurface
 
 RADIUS_M = 0.3
 _RINGS, _SEGMENTS = 240, 480
-_PAINT = (0.62, 0.60, 0.58)  # a nearly neutral matte grey
+PAINT = (0.62, 0.60, 0.58)  # a nearly neutral matte grey
 
 
 def build_sphere(options: SceneOptions) -> Scene:
@@ -26,7 +26,7 @@ def build_sphere(options: SceneOptions) -> Scene:
     return Scene(
         name="sphere",
         camera=studio_camera(options, field_width_m=1.0),
-        surface=SceneSurface(faces=faces, reference_weights=np.array(_PAINT)),
+        surface=SceneSurface(faces=faces, reference_weights=np.array(PAINT)),
         vertices=lambda frame: pose(frame).apply(ball),
         frame_count=60,
         camera_from_object=pose,
