@@ -51,7 +51,7 @@ def white_lamp() -> FloatArray:
     Daylight-like: tungsten's light with its blue, green and red bands weighed against the camera.
     """
     bands = rgb_pigments() * _tungsten()
-    seen = colour_from_spectrum(bands, camera_sensitivities())
+    seen = colour_from_spectrum(bands)
     return np.linalg.solve(seen.T, np.ones(3)) @ bands
 
 
@@ -60,9 +60,9 @@ def room_glow() -> FloatArray:
     return _AMBIENT_LEVEL * white_lamp()
 
 
-def colour_from_spectrum(power: FloatArray, sensitivities: FloatArray) -> FloatArray:
-    """Integrate power (..., λ) against sensitivities (3, λ) over wavelength: (..., 3)."""
-    return np.asarray(power) @ np.asarray(sensitivities).T * _STEP_NM
+def colour_from_spectrum(power: FloatArray) -> FloatArray:
+    """Integrate power (..., λ) against the camera's sensitivities over wavelength: (..., 3)."""
+    return np.asarray(power) @ camera_sensitivities().T * _STEP_NM
 
 
 def rgb_pigments() -> FloatArray:
