@@ -128,8 +128,8 @@ def others_of(presses: list[FloatArray], untouched: FloatArray, ball_px: float) 
         found = find_contact_circle(change_without_drift(change, ~filled))
         if found is None:
             continue
-        offsets = np.stack([u - found.press.u_px, v - found.press.v_px], axis=-1) / ball_px
-        distance = np.linalg.norm(offsets, axis=-1) * ball_px / found.press.radius_px
+        offsets = np.stack([u - found.u_px, v - found.v_px], axis=-1) / ball_px
+        distance = np.linalg.norm(offsets, axis=-1) * ball_px / found.radius_px
         for inside, count in ((distance < CONTACT_SHARE, IN_CONTACT), (distance > FLAT_RADII, ON_FLAT)):
             at = np.flatnonzero(inside & ~filled)
             at = rng.permutation(at)[:count]

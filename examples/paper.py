@@ -17,6 +17,7 @@ from vntoolkit.options.simulation import Nuisances, SceneOptions
 from vntoolkit.photometry.response import rgb_from_normals
 from vntoolkit.pipeline.dress import read_motion
 from vntoolkit.simulation.image_formation import light_colour, response_matrix
+from vntoolkit.simulation.lights import rgb_pigments
 from vntoolkit.simulation.render import render_frame
 from vntoolkit.simulation.scene import build_scene
 from vntoolkit.skinning.blending import skinned_vertices
@@ -42,8 +43,7 @@ ideal = Nuisances(**{**vars(Nuisances.none()), "crosstalk": True})
 seen = [render_frame(scene, number, nuisances=ideal) for number in (0, 1)]
 truth, lit = seen[0].truth, seen[0].truth.normals.mask & (seen[0].truth.labels == 7)
 normals, rgb = truth.normals.normals_in_camera[lit], seen[0].linear.rgb[lit]
-reflectance = cloth.reference_weights @ cloth.pigments
-colours = np.array([light_colour(s, reflectance, scene.sensitivities) for s in lamps.spectra])
+colours = np.array([light_colour(s, cloth.reference_weights @ rgb_pigments()) for s in lamps.spectra])
 towards = lamps.positions - scene.centre
 matrix = response_matrix(colours, towards / np.linalg.norm(towards, axis=1, keepdims=True))
 true = LightResponse(matrix=matrix * scene.exposure_level / np.linalg.norm(matrix, axis=1).max())

@@ -23,6 +23,7 @@ from vntoolkit.options.simulation import SceneOptions
 from vntoolkit.pipeline.dress import dress, read_motion, read_tracked_cloth, write_dressed_figure
 from vntoolkit.report.mesh_views import PreviewOptions, write_preview
 from vntoolkit.report.recipes_page import number, write_numbers
+from vntoolkit.simulation.lights import FRAME_RATE_HZ
 from vntoolkit.simulation.scene import build_scene
 
 WALK = Path(__file__).parents[1] / "data" / "walk.bvh"
@@ -39,7 +40,7 @@ def simulated_sweater(folder: Path, frames: int) -> MeshSequence:
     first = scene.vertices(0)
     colours = np.tile(np.array(WOOL, np.float32), (len(first), 1))
     template = Mesh(vertices=first, faces=scene.surface.faces, colours=colours)
-    with MeshSequenceWriter(folder, template, frame_rate_hz=scene.frame_rate_hz) as writer:
+    with MeshSequenceWriter(folder, template, frame_rate_hz=FRAME_RATE_HZ) as writer:
         for frame in range(frames):
             writer.append(scene.vertices(frame))
     return read_mesh_sequence(folder)

@@ -9,6 +9,17 @@ V, U = np.indices((HEIGHT, WIDTH))
 DOTS = (U % 20 < 4) & (V % 20 < 4)
 
 
+def press_on_ball(
+    shape: tuple[int, ...], u: float, v: float, ball_px: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Normals (h, w, 3) of a ball pressed in at (u, v), and the distance (h, w) from there."""
+    rows, columns = np.indices(shape)
+    off = np.stack([columns - u, rows - v], axis=-1)
+    distance = np.linalg.norm(off, axis=-1)
+    height = np.sqrt(np.maximum(ball_px**2 - distance**2, 0))
+    return np.concatenate([off, -height[..., None]], axis=-1) / ball_px, distance
+
+
 def sine_of_slope(distance: np.ndarray, contact_px: float, rest_px: float = 8.0) -> np.ndarray:
     """The ball inside its contact, around it a gel that comes to rest within some pixels."""
     away = np.maximum(distance - contact_px, 0)

@@ -106,7 +106,7 @@ def response_in_black() -> None:
 
 
 def textured_without_places() -> None:
-    texture = np.ones((2, 2, len(scene().surface.pigments)))
+    texture = np.ones((2, 2, 3))
     replace(scene().surface, texture=texture, uv=None)
 
 
@@ -143,7 +143,7 @@ REFUSALS = [
     (lambda: scene(camera=ORTHOGRAPHIC), BadInput,
      "scene sphere: expected a perspective camera, at the origin"),
     (lambda: scene(frame_count=0), BadInput,
-     "scene sphere: expected at least one frame and a positive frame rate"),
+     "scene sphere: expected at least one frame"),
     (response_in_black, BadInput, "its reference material reflects none of the light"),
     (textured_without_places, BadInput, r"a texture or detail needs uv, \(m, 3, 2\) per face corner"),
     (usd_of_a_figure_with_z_up, BadInput, "a skeleton is written with y up only"),

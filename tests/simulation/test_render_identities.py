@@ -33,8 +33,7 @@ def ball_scene(**surface) -> Scene:
 
     return Scene(
         name="ball",
-        camera=studio_camera(160, 120, field_width_m=1.0),
-        lights=studio_lights(),
+        camera=studio_camera(SMALL, field_width_m=1.0),
         surface=SceneSurface(faces=faces, reference_weights=GREY, **surface),
         vertices=lambda frame: pose(frame).apply(ball),
         frame_count=3,

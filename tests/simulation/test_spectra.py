@@ -31,7 +31,7 @@ ONE = np.ones_like(WAVELENGTHS_NM)
 
 
 def test_each_lamp_is_strongest_in_its_own_channel_and_seen_by_all():
-    colours = np.array([light_colour(lamp, ONE, camera_sensitivities()) for lamp in coloured_lamps()])
+    colours = np.array([light_colour(lamp, ONE) for lamp in coloured_lamps()])
     assert np.diag(colours) == pytest.approx(1.0)
     off = colours[~np.eye(3, dtype=bool)]
     assert off.min() > 0.01
@@ -43,11 +43,11 @@ def test_integral_over_wavelength_equals_a_fine_quadrature():
     lamp, pigment, sensors = coloured_lamps()[1], rgb_pigments()[1], camera_sensitivities()
     at = [np.interp(fine, WAVELENGTHS_NM, curve) for curve in (lamp, pigment, *sensors)]
     expected = [np.trapezoid(at[0] * at[1] * sensor, fine) for sensor in at[2:]]
-    assert light_colour(lamp, pigment, sensors) == pytest.approx(expected, rel=0.01)
+    assert light_colour(lamp, pigment) == pytest.approx(expected, rel=0.01)
 
 
 def test_white_lamp_is_white_to_the_camera_and_nowhere_dark():
-    assert light_colour(white_lamp(), ONE, camera_sensitivities()) == pytest.approx(np.ones(3))
+    assert light_colour(white_lamp(), ONE) == pytest.approx(np.ones(3))
     assert white_lamp().min() > 0
 
 

@@ -23,7 +23,7 @@ def _aspects(seed: int, aspect: float) -> np.ndarray:
         change = change.astype(np.float32)
         circle = find_contact_circle(change)
         assert circle is not None
-        found.append(aspect_of_contact(change, circle.press))
+        found.append(aspect_of_contact(change, circle))
     return np.array([each for each in found if each is not None])
 
 

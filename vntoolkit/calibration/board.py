@@ -176,8 +176,7 @@ def board_pose(sighting: BoardSighting, layout: BoardLayout, camera: Camera) -> 
     """Pose of the board from its corners (n ≥ 6), or None where it does not exist."""
     if camera.model is CameraModel.ORTHOGRAPHIC:
         raise BadCalibration("calibrate board: needs a perspective camera, got an orthographic one")
-    points = np.zeros((len(sighting.corner_ids), 3))
-    points[:, :2] = layout.corners_mm[sighting.corner_ids]
+    points = _in_plane(layout.corners_mm[sighting.corner_ids])
     found, rotation, translation = cv2.solvePnP(
         points, sighting.corners_px, camera.matrix, camera.distortion, flags=cv2.SOLVEPNP_IPPE
     )
@@ -229,7 +228,7 @@ def fit_camera(
             f"at least {_FEWEST_VIEWS} are needed; film longer, or give the camera with --camera"
         )
     views = [usable[i] for i in _most_different(_descriptors(usable, layout), _MOST_VIEWS)]
-    points = [_in_plane(layout.corners_mm[s.corner_ids]) for s in views]
+    points = [_in_plane(layout.corners_mm[s.corner_ids]).astype(np.float32) for s in views]
     images = [s.corners_px.astype(np.float32) for s in views]
     calibrate: Any = cv2.calibrateCameraExtended  # its stubs forbid the None that its manual asks for
     with one_opencv_thread():  # several sum in any order: the last digits would change from run to run
@@ -277,9 +276,8 @@ def _flags(radial_terms: int) -> int:
 
 
 def _in_plane(corners_mm: FloatArray) -> FloatArray:
-    points = np.zeros((len(corners_mm), 3), np.float32)
-    points[:, :2] = corners_mm
-    return points
+    """Return (n, 3), at z = 0."""
+    return np.pad(corners_mm, ((0, 0), (0, 1)))
 
 
 def _descriptors(sightings: Sequence[BoardSighting], layout: BoardLayout) -> FloatArray:

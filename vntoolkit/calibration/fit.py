@@ -25,7 +25,7 @@ _INLIER_SHARE = 0.08  # of the median length of the colours: largest residual of
 _ROUNDING = 1e-9  # of the largest colour: residuals below it are arithmetic
 _FLATTEST_DESIGN = 5e-3  # smallest over largest singular value of the normals that still determine M
 _SMALLEST_DETERMINANT = 0.02  # of three unit normals: below it noise decides
-_LARGEST_CONDITION = 1e3  # of a sampled M: no such rig is usable
+LARGEST_CONDITION = 1e3  # of M, anywhere in the image: no such rig is usable
 _SCORED_PAIRS = 4000  # a cost over more pairs ranks the samples no better
 _DRAWS = 2000  # minimal samples of MSAC
 
@@ -226,7 +226,7 @@ def _models_from_samples(design: Design, samples: IntArray) -> FloatArray:
     sound = np.abs(np.linalg.det(rows)) > _SMALLEST_DETERMINANT * lengths
     models = np.linalg.solve(rows[sound], design.colours[samples[sound]])
     singular = np.linalg.svd(models[:, :3], compute_uv=False)
-    return models[singular[:, 2] * _LARGEST_CONDITION > singular[:, 0]]
+    return models[singular[:, 2] * LARGEST_CONDITION > singular[:, 0]]
 
 
 def _truncated_costs(design: Design, scored: IntArray, models: FloatArray, threshold: float) -> FloatArray:

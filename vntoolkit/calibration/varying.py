@@ -8,7 +8,7 @@ many coefficients badly: those beyond one M are held near 0, as strongly as the 
 import numpy as np
 
 from vntoolkit.arrays import FloatArray, Points, Points2
-from vntoolkit.calibration.fit import Design, fit_by_trimming, response_from_unknowns
+from vntoolkit.calibration.fit import LARGEST_CONDITION, Design, fit_by_trimming, response_from_unknowns
 from vntoolkit.checks import require_finite, require_shape
 from vntoolkit.errors import BadCalibration
 from vntoolkit.options.calibration import ResponseFitOptions, ResponseModel
@@ -16,7 +16,6 @@ from vntoolkit.photometry.response import LightResponse, ResponseVariation, powe
 
 _PAIRS_PER_TERM = 4  # positions that each monomial needs at least, at very least
 _FLATTEST = 0.02  # smallest over largest singular value of the monomials over the positions seen
-_LARGEST_CONDITION = 1e3  # of M anywhere in the image
 _ROUNDS = 100  # of the ridge's fixed point; it rests after ten or twenty
 _SETTLED = 1e-3  # relative change of the ridge at which it rests
 
@@ -105,7 +104,7 @@ def _require_regular(response: LightResponse, size: tuple[int, int]) -> None:
     matrices, _ = response.at(np.stack([u, v], axis=-1))
     singular = np.linalg.svd(matrices, compute_uv=False)
     sign = np.sign(np.linalg.det(matrices))
-    if singular[..., 2].min() * _LARGEST_CONDITION < singular[..., 0].max() or np.ptp(sign) > 0:
+    if singular[..., 2].min() * LARGEST_CONDITION < singular[..., 0].max() or np.ptp(sign) > 0:
         raise BadCalibration(
             "calibration: the response that varies becomes singular in a part of the image where the target "
             "was not seen; show it there too, or lower the degree of the variation"

@@ -6,7 +6,7 @@ from scipy.stats import linregress
 from vntoolkit.arrays import FloatArray
 from vntoolkit.diagnosis.finding import CLEAR_Z, Finding
 from vntoolkit.spread import robust_deviation
-from vntoolkit.tactile.circles import FoundCircle
+from vntoolkit.tactile.circles import Press
 
 _FAR_RADII = 0.6  # of the contact: hands label to a tenth, and a fit still works with a half
 _STRETCH = 0.04  # of 1: a label's scale that is off by less moves no label by more than hands do
@@ -78,7 +78,7 @@ def check_gel_fills_picture(level: FloatArray, at_contacts: FloatArray) -> list[
 
 
 def check_common_dent(
-    common: FoundCircle | None, strength: float, dents: FloatArray, presses: int
+    common: Press | None, strength: float, dents: FloatArray, presses: int
 ) -> list[Finding]:
     """Find a dent that all presses have in common: then it is the background's.
 
@@ -87,12 +87,11 @@ def check_common_dent(
     """
     if common is None or strength < _LEAST_STRENGTH or presses < _FEWEST:
         return []
-    at = common.press
-    near = np.hypot(dents[:, 0] - at.u_px, dents[:, 1] - at.v_px) < at.radius_px
+    near = np.hypot(dents[:, 0] - common.u_px, dents[:, 1] - common.v_px) < common.radius_px
     if 2 * near.sum() > presses:  # the presses themselves lie there
         return []
     measured = f"the same dent in all presses, {strength:.1f} times as strong as theirs"
-    return [Finding.of("background/press", u=at.u_px, v=at.v_px, measured=measured)]
+    return [Finding.of("background/press", u=common.u_px, v=common.v_px, measured=measured)]
 
 
 def check_press_transfer(used: str, angle_deg: float, others: dict[str, float]) -> list[Finding]:

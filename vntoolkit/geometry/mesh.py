@@ -309,6 +309,18 @@ def graph_laplacian(edges: IntArray, vertex_count: int, weights: FloatArray | No
     return sp.csr_array((values, (rows, columns)), shape=(vertex_count, vertex_count))
 
 
+def factored(matrix: sp.sparray) -> Any:
+    """Factor a symmetric matrix (n, n) without pivoting; all of its leading minors are regular."""
+    from scipy.sparse.linalg import splu  # few runs need it
+
+    return splu(
+        sp.csc_array(matrix),
+        permc_spec="MMD_AT_PLUS_A",
+        diag_pivot_thresh=0.0,
+        options={"SymmetricMode": True},
+    )
+
+
 def cotangent_laplacian(vertices: Points, faces: Faces) -> sp.csr_array:
     """Return the (n, n) cotangent Laplacian, w_ij = (cot a_ij + cot b_ij) / 2, symmetric.
 

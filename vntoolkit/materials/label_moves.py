@@ -39,7 +39,6 @@ _LEAST_LIGHT = np.float32(1e-4)
 _LEAST_GAIN = 1e-4  # in nats: less is rounding
 _REACH_PX = 2  # of the blur
 _MARGIN_PX = _REACH_PX + 1  # of a window around a block
-_STRIP = 8  # rows, of pixels or of blocks: strips with one between them do not touch what the other sees
 MARGIN_PX = _REACH_PX + 3  # around a pixel that may change, where its change is felt
 _NONE, _ONE = np.float32(0.0), np.float32(1.0)
 _HALF_MOST, _MOST = np.float32(0.5 * CAP * CAP), np.float32(CAP * CAP)
@@ -166,46 +165,39 @@ def _move(
 ) -> int:  # fmt: skip
     """Give each pixel, or each of overlapping blocks, the label that costs least.
 
-    A block inside may get any label, others those beside them. Returns how many changed. Every second strip
-    of rows is decided at the same time: what is between keeps what they see apart.
+    A block inside may get any label, others those beside them. Returns how many changed.
 
     s, mean, shade: (h, w, 3), contributions, mixtures, and log of the ratio of the two. of_lengths, of_steps:
     one over the variances.
     """
     h, w = labels.shape
     stride, size = max(side // 2, 1), side + 2 * _MARGIN_PX
-    rows = max((h - size - 1) // stride, 0)
-    strips = (rows + _STRIP - 1) // _STRIP
     known = ambient, inverse, of_lengths, of_steps
-    changes = np.zeros(max(strips, 1), np.int64)
-    for first in range(2):
-        for half in range((strips - first + 1) // 2):
-            strip = 2 * half + first
-            new, new_shade = np.empty((size, size, 3), np.float32), np.empty((size, size, 3), np.float32)
-            for row in range(strip * _STRIP, min((strip + 1) * _STRIP, rows)):
-                v = _MARGIN_PX + row * stride
-                for u in range(_MARGIN_PX, w - size - 1 + _MARGIN_PX, stride):
-                    around = _labels_to_try(labels, lit, active, v, u, side, len(rho))
-                    if around == 0:
-                        continue
-                    top, left, best = v - _MARGIN_PX, u - _MARGIN_PX, -1
-                    least = _price(lit, s, mean, shade, top, left, top, left, size, *known)
-                    least += _seam(labels, v, u, side, -1)
-                    for m in range(len(rho)):
-                        if (around >> m) & 1:
-                            _mix(labels, s, mean, shade, rho, weights, v, u, side, m, new, new_shade)
-                            price = _seam(labels, v, u, side, m)
-                            price += _price(lit, s, new, new_shade, top, left, 0, 0, size, *known)
-                            if price < least - _LEAST_GAIN:
-                                least, best = price, m
-                    if best < 0:
-                        continue
-                    changes[strip] += 1
-                    _mix(labels, s, mean, shade, rho, weights, v, u, side, best, new, new_shade)
-                    mean[top : top + size, left : left + size] = new
-                    shade[top : top + size, left : left + size] = new_shade
-                    labels[v : v + side, u : u + side] = best
-    return changes.sum()
+    new, new_shade = np.empty((size, size, 3), np.float32), np.empty((size, size, 3), np.float32)
+    changes = 0
+    for v in range(_MARGIN_PX, h - size - 1 + _MARGIN_PX, stride):
+        for u in range(_MARGIN_PX, w - size - 1 + _MARGIN_PX, stride):
+            around = _labels_to_try(labels, lit, active, v, u, side, len(rho))
+            if around == 0:
+                continue
+            top, left, best = v - _MARGIN_PX, u - _MARGIN_PX, -1
+            least = _price(lit, s, mean, shade, top, left, top, left, size, *known)
+            least += _seam(labels, v, u, side, -1)
+            for m in range(len(rho)):
+                if (around >> m) & 1:
+                    _mix(labels, s, mean, shade, rho, weights, v, u, side, m, new, new_shade)
+                    price = _seam(labels, v, u, side, m)
+                    price += _price(lit, s, new, new_shade, top, left, 0, 0, size, *known)
+                    if price < least - _LEAST_GAIN:
+                        least, best = price, m
+            if best < 0:
+                continue
+            changes += 1
+            _mix(labels, s, mean, shade, rho, weights, v, u, side, best, new, new_shade)
+            mean[top : top + size, left : left + size] = new
+            shade[top : top + size, left : left + size] = new_shade
+            labels[v : v + side, u : u + side] = best
+    return changes
 
 
 @njit

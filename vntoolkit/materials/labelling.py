@@ -17,11 +17,11 @@ import numpy as np
 from vntoolkit.arrays import Float32Array, Mask, MaterialLabels, Points, Vector3
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.materials.label_moves import MARGIN_PX, LabelEnergy, labels_and_energy
-from vntoolkit.materials.mixtures import SEAM_PRICE, Seams, Spread, near_seams
+from vntoolkit.materials.mixtures import FIRST_SPREAD, SEAM_PRICE, Seams, Spread, near_seams
 from vntoolkit.materials.paint import PaintSurface, without_paint
 from vntoolkit.materials.pigment import pigment_of
 from vntoolkit.materials.reflectance import Lamps
-from vntoolkit.materials.region_labels import agreed, prices_of_regions, spread_of
+from vntoolkit.materials.region_labels import DOUBTFUL, agreed, prices_of_regions, spread_of
 from vntoolkit.materials.region_lengths import Lengths, lengths_of
 from vntoolkit.materials.regions import Regions, regions_of
 from vntoolkit.materials.relighting import relit
@@ -37,9 +37,7 @@ from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.levelling import Leveller
 from vntoolkit.photometry.response import LightResponse
 
-_FIRST_SPREAD = 0.04
-_DOUBTFUL = 1.5  # price of a region from which its blocks are decided one by one …
-_BESIDE = 4  # … and those that near to a seam
+_BESIDE = 4  # blocks to a seam: those that near are decided one by one
 # Share of the blocks of a frame that is decided as a whole: in later frames what costs more is doubtful.
 _DOUBTFUL_SHARE = 0.1
 _AS_A_WHOLE = 6  # blocks that the picture moves from one frame decided as a whole to the next
@@ -190,7 +188,7 @@ class MaterialLabeller:
         costs = prices_of_regions(lengths, spread)
         of_regions = agreed(costs, logs, regions, SEAM_PRICE)
         found = of_regions[regions.labels].astype(np.uint8)
-        doubtful = np.take_along_axis(costs, of_regions[:, None], 1)[:, 0] > _DOUBTFUL
+        doubtful = np.take_along_axis(costs, of_regions[:, None], 1)[:, 0] > DOUBTFUL
         active = ~regions.plain | doubtful[regions.labels] | near_seams(found, _BESIDE)
         known = split.lamps, self.reflectances, spread
         if first is None:
@@ -265,7 +263,7 @@ class MaterialLabeller:
 
 def _spread(lengths: Lengths, logs: Points, regions: Regions) -> Spread:
     """Return the spread of the lengths of regions under the labels that they then agree on."""
-    spread = Spread(_FIRST_SPREAD, _FIRST_SPREAD)
+    spread = Spread(FIRST_SPREAD, FIRST_SPREAD)
     for _ in range(2):
         costs = prices_of_regions(lengths, spread)
         spread = spread_of(lengths, agreed(costs, logs, regions, SEAM_PRICE))

@@ -14,6 +14,7 @@ from vntoolkit.arrays import FloatArray, Mask, MaterialLabels, Points
 from vntoolkit.materials.reflectance import CAP, Lamps, lengths_of_normals
 
 INDEPENDENT_PX = 64.0  # pixels that share their errors: lamps, gloss and ambient light change slowly
+FIRST_SPREAD = 0.04  # standard deviation of normals' lengths before the footage tells it
 SEAM_PRICE = 1.0  # nats, of two pixels of two materials side by side
 _MOST_REACH_PX = 3  # to either side, over which a seam is blurred
 _REACH_OF_BLUR = 2.5  # standard deviations

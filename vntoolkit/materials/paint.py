@@ -30,12 +30,18 @@ from vntoolkit.geometry.slope_grid import (
     weights_kernel,
 )
 from vntoolkit.materials.reflectance import Lamps, lamps_from_response
-from vntoolkit.materials.split_frame import block_size, blocks_moved, cells_of, steady_box, sums_of_blocks
+from vntoolkit.materials.split_frame import (
+    LEAST_SHARE,
+    block_size,
+    blocks_moved,
+    cells_of,
+    steady_box,
+    sums_of_blocks,
+)
 from vntoolkit.photometry.frame import ALL_LIT, LinearFrame
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.solvers import grid_hierarchy, solve_grid
 
-_BLOCKS = 60_000  # of the subject; noise is finer than these, and freckles are not
 _LEVELS = 2  # coarser ones, each of half the size: a lip is wide for steps that only reach its neighbours
 _STEPS, _CYCLES = 2, 3  # of Gauss–Newton on each level, and of multigrid in each
 # Blocks that a subject may move from where its surface was found from coarse to fine. Farther on, steps from
@@ -51,7 +57,6 @@ _SMOOTH = 7.0
 _STEP_SCALE = 10.0  # χ² at which a depth gradient counts a quarter, as it crosses a step in depth
 _DAMPING = 0.02  # of a step; keeps the equations definite
 _AROUND = 2  # blocks to each side that share the doubt of a turn
-_LEAST_SHARE = 0.06  # of the strongest lamp's light: less may be shadow, which tells nothing
 _LEAST_LIGHT, _TINY = np.float32(0.02), np.float32(1e-9)
 _NO_LABEL = 255
 _LEAST_COSINE = np.cos(np.radians(45.0))  # no paint of skin turns a normal farther
@@ -93,7 +98,7 @@ def without_paint(
     before: the search goes on from it, unless the subject has moved far since it began.
     """
     lamps, lines = lamps_from_response(response, np.zeros(3)), np.asarray(lines, np.float64)
-    factor = block_size(mask, _BLOCKS) if before is None else before.factor
+    factor = block_size(mask) if before is None else before.factor
     box = steady_box(mask, factor, None if before is None else before.box)
     rgb, labels, mask = frame.rgb[box], labels[box], mask[box]
     cells = cells_of(rgb[factor // 2 :: factor, factor // 2 :: factor])
@@ -165,7 +170,7 @@ def _blocks_of(
     mean /= np.maximum(counts, 1.0)[..., None]
     light = (mean @ lamps.split.T) / np.asarray(rho)[of] - lamps.ambient
     inside = mask[np.ix_(*middle)] & np.any(lines, axis=1)[of] & (2.0 * counts > factor**2)
-    lit = inside & (light.min(axis=2) > _LEAST_SHARE * np.maximum(light.max(axis=2), 0.0))
+    lit = inside & (light.min(axis=2) > LEAST_SHARE * np.maximum(light.max(axis=2), 0.0))
     observed = np.where(np.asarray(lit)[..., None], light, 0.0).astype(np.float32)
     known = np.where(inside, of, _NO_LABEL).astype(np.uint8)
     return _Blocks(observed, known, factor, box[1].start, box[0].start)

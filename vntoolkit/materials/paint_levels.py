@@ -11,11 +11,10 @@ from dataclasses import replace
 
 import numpy as np
 from scipy import sparse
-from scipy.linalg import solveh_banded
 from scipy.ndimage import gaussian_filter
-from scipy.sparse.csgraph import reverse_cuthill_mckee
 
-from vntoolkit.arrays import FloatArray, IntArray, Mask, Points, Vector3
+from vntoolkit.arrays import FloatArray, Mask, Points, Vector3
+from vntoolkit.geometry.mesh import factored, graph_laplacian
 from vntoolkit.materials.reflectance import CAP
 from vntoolkit.materials.regions import SHADING_STEP, Regions, regions_of
 from vntoolkit.materials.split_frame import split_frame
@@ -61,12 +60,11 @@ class SeamSteps:
 
     def __init__(self, regions: Regions) -> None:
         once = regions.sources < regions.neighbours
-        self._a, self._b = a, b = regions.sources[once], regions.neighbours[once]
+        self._edges = np.stack([regions.sources[once], regions.neighbours[once]], axis=1)
         self._contacts = regions.contacts[once]
         is_paint = np.abs(regions.steps[once]).max(axis=1) > PAINT_STEP
         self._target = np.where(is_paint[:, None], regions.steps[once], 0.0)
         self._spread = np.where(is_paint, 1.0, 0.5) * SHADING_STEP
-        self._system = _BandedSystem(a, b, regions.count)
         self._count = regions.count
 
     def levels(self) -> Points:
@@ -85,38 +83,13 @@ class SeamSteps:
         centre: (3,), mean log ρ. reach: in spreads of a step; from CAP times it steps count less. matrices,
         gradients: (n, 3, 3) and (n, 3), normal equations of what else tells.
         """
-        a, b, spread = self._a, self._b, self._spread
+        (a, b), spread, own = self._edges.T, self._spread, np.arange(self._count + 1)
         rest = self._target - (x[b] - x[a])
         falling = 1.0 / (1.0 + np.sum(rest**2, axis=1) / (CAP * (reach * spread)) ** 2)
         weight = self._contacts * (falling / spread) ** 2
         right = gradients + _WEAK * (centre - x)
         np.add.at(right, b, weight[:, None] * rest)
         np.add.at(right, a, -weight[:, None] * rest)
-        return x + self._system.solve(matrices + _WEAK * np.eye(3), weight, right).clip(-3.0, 3.0)
-
-
-class _BandedSystem:
-    """Normal equations of n regions with three unknowns each, and of the steps between neighbours a, b (e,).
-
-    Neighbours get numbers near to each other (cuthill1969): all entries lie in a band.
-    """
-
-    def __init__(self, a: IntArray, b: IntArray, n: int) -> None:
-        graph = sparse.coo_array((np.ones(len(a)), (a, b)), shape=(n, n))
-        order = reverse_cuthill_mckee((graph + graph.T).tocsr(), symmetric_mode=True)
-        self._index = index = 3 * np.argsort(order)[:, None] + np.arange(3)
-        first, second = index[a].ravel(), index[b].ravel()
-        rows = np.concatenate([np.repeat(index, 3, axis=1).ravel(), first, second, np.maximum(first, second)])
-        columns = np.concatenate([np.tile(index, (1, 3)).ravel(), first, second, np.minimum(first, second)])
-        self._below = rows >= columns
-        self._size, self._band = 3 * n, int((rows - columns).max()) + 1
-        self._places = ((rows - columns) * self._size + columns)[self._below]
-
-    def solve(self, blocks: FloatArray, weights: FloatArray, right: FloatArray) -> FloatArray:
-        """Return (n, 3). blocks: (n, 3, 3), of each region. weights: (e,), of the steps. right: (n, 3)."""
-        thrice = np.repeat(weights, 3)
-        entries = np.concatenate([blocks.ravel(), thrice, thrice, -thrice])[self._below]
-        band = np.bincount(self._places, entries, self._band * self._size).reshape(self._band, self._size)
-        ordered = np.empty(self._size)
-        ordered[self._index] = right
-        return np.asarray(solveh_banded(band, ordered, lower=True, check_finite=False)[self._index])
+        blocks = sparse.bsr_array((matrices + _WEAK * np.eye(3), own[:-1], own))
+        system = sparse.kron(graph_laplacian(self._edges, self._count, weight), np.eye(3)) + blocks
+        return x + factored(system).solve(right.ravel()).reshape(-1, 3).clip(-3.0, 3.0)

@@ -14,7 +14,9 @@ import numpy as np
 from scipy.optimize import minimize
 
 from vntoolkit.arrays import FloatArray, IntArray, Mask, Matrix3, Points, Vector3
+from vntoolkit.materials.mixtures import FIRST_SPREAD, INDEPENDENT_PX
 from vntoolkit.materials.reflectance import CAP, Lamps, bias_of_noise
+from vntoolkit.materials.split_frame import LEAST_SHARE
 
 _PAIRS = 10_000  # of neighbouring blocks that tell how rough normals are
 _FEWEST_PAIRS = 1000  # fewer show lines where there are none
@@ -23,8 +25,7 @@ _STEEP = 0.08  # difference of two neighbours' normals from which a larger one h
 _CLEAR = 4.0
 _LEAST_TAKEN = 0.1  # of what it takes from the darkest band: a line along one band alone is its noise
 _EVALUATIONS = 35
-_SPREAD, _PIGMENT_SPREAD = 0.04, 0.3  # of lengths, and of t
-_INDEPENDENT_PX = 64.0  # pixels that share their errors
+_PIGMENT_SPREAD = 0.3  # of t
 _KNOWN_BEFORE = 0.5  # standard deviation of log ρ as it was found before
 _FIT_PIXELS = 10_000  # of the material
 _FIT_ROUNDS, _LONGEST_STEP = 12, 0.1
@@ -34,7 +35,6 @@ _FIRST_STEP = 0.3
 _TRUST_OF_SEARCH = (0.3, 1.5)
 _TRUST = (0.5, 0.5)
 _ROUNDS = 3  # of Gauss–Newton in t
-_LEAST_SHARE = 0.06  # of the strongest lamp's light: less may be shadow, which tells nothing
 _TINY = 1e-12
 
 
@@ -96,14 +96,14 @@ def _of_least_pigment(log: Vector3, s: Points, lamps: Lamps, direction: Vector3)
 
     s: (n, 3), contributions. Geman and McClure's weights, about the log ρ that was found before.
     """
-    prior = np.eye(3) * (_INDEPENDENT_PX / (len(s) * _KNOWN_BEFORE**2))
+    prior = np.eye(3) * (INDEPENDENT_PX / (len(s) * _KNOWN_BEFORE**2))
     found = log.copy()
     for _ in range(_FIT_ROUNDS):
         shares = s * np.exp(-found)
         normals = (shares - lamps.ambient) @ lamps.inverse.T
         lengths = np.maximum(np.linalg.norm(normals, axis=1), 1e-6)
         slopes = -(normals / lengths[:, None] @ lamps.inverse) * shares
-        error, variance = lengths - 1.0, _SPREAD**2 + (slopes @ direction * _PIGMENT_SPREAD) ** 2
+        error, variance = lengths - 1.0, FIRST_SPREAD**2 + (slopes @ direction * _PIGMENT_SPREAD) ** 2
         weights = 1.0 / variance / (1.0 + error**2 / variance / CAP**2) ** 2 / len(s)
         matrix = (slopes * weights[:, None]).T @ slopes + prior
         step = np.linalg.solve(matrix, prior @ (log - found) - (slopes * weights[:, None]).T @ error)
@@ -153,5 +153,5 @@ def without_pigment(
         slope = -((normals @ matrix * shares) @ line) / lengths
         error = (lengths**2 - squared) / (lengths + 1.0)
         amount = (slope * (slope * amount - error) / (slope**2 + trust[0] ** 2)).clip(-trust[1], trust[1])
-    amount[s.min(axis=1) < _LEAST_SHARE * s.max(axis=1)] = 0.0
+    amount[s.min(axis=1) < LEAST_SHARE * s.max(axis=1)] = 0.0
     return np.asarray(s * np.exp(-amount[:, None] * line))

@@ -24,7 +24,7 @@ from vntoolkit.spread import robust_deviation
 CAP = 3.0  # standard deviations at which a residual stops to count more
 # Spread of log ρ before anything is seen: paints return 0.1 to 1 of the light.
 _PRIOR_SPREAD = 0.6
-_LARGEST_RATIO = np.log(12.0)  # of the reflectances of one material
+LARGEST_RATIO = np.log(12.0)  # of the reflectances of one material
 _ROUNDS = 14
 _FIRST_TOLERANCE = 0.3  # of the first round; halved every round, so that a poor start is no outlier
 _LARGEST_STEP = 0.5
@@ -126,8 +126,8 @@ def best_fit(
     best: tuple[Vector3, Matrix3, float] | None = None
     for start in starts:
         found = _fit(s, lamps, tolerance, start, scale if spread is None else start, prior)
-        is_paint = np.ptp(found[0]) < _LARGEST_RATIO
-        if best is None or (is_paint, -found[2]) > (np.ptp(best[0]) < _LARGEST_RATIO, -best[2]):
+        is_paint = np.ptp(found[0]) < LARGEST_RATIO
+        if best is None or (is_paint, -found[2]) > (np.ptp(best[0]) < LARGEST_RATIO, -best[2]):
             best = found
     assert best is not None
     return best

@@ -21,6 +21,7 @@ from vntoolkit.native import njit
 from vntoolkit.spread import robust_deviation
 
 _STRANGERS = 0.1  # share of regions that are of no material: folds that light each other, eyes, buttons
+DOUBTFUL = 1.5  # price of a region from which its label is in doubt
 _LEAST_SPREAD = 0.005  # of lengths: reflectances are known no better
 _SWEEPS = 12
 _MOST_STEP = (CAP * SHADING_STEP) ** 2  # square of a step of log s; longer ones hardly cost more

@@ -16,7 +16,9 @@ from scipy.ndimage import distance_transform_edt, uniform_filter
 from vntoolkit.arrays import FloatArray, IntArray, Mask
 from vntoolkit.materials.split_frame import SplitFrame
 
-REGION_PX = 8  # side of a region; stripes of half that width are still found
+# Side of a region; stripes of half that width are still found. Pixels of an edge so near to a region belong
+# to it, and a contact as long counts in full.
+REGION_PX = 8
 SHADING_STEP = 0.08  # standard deviation of the step of log s between neighbours by shape and texture
 _EDGE = 0.25  # step of log s over four pixels that is one of paint …
 _REACH_PX = 2  # … which a lens and a Bayer pattern blur over that distance to either side
@@ -25,9 +27,7 @@ _COLOUR = 0.07  # log s that counts as much as half a region's side
 _SWEEPS = 4
 SAMPLES = 16  # pixels that stand for a region
 _FEWEST_PX = 8  # where two stripes of 8 pixels cross, their edges leave little more
-_FILLED_PX = 8.0  # from a region within which pixels of an edge belong to it
 _FEWEST_CONTACTS = 3
-_FULL_CONTACT_PX = 8.0
 _MOST_CONTACT = 1.5
 _NEIGHBOURS = 3.0  # steps to about six neighbours are counted twice and hold one difference of means each
 
@@ -84,7 +84,7 @@ def regions_of(split: SplitFrame) -> Regions:
     if len(kept):
         distance, nearest = distance_transform_edt(inner < 0, return_indices=True)
         labels = inner[nearest[0], nearest[1]]
-        near = lit & (distance <= _FILLED_PX)
+        near = lit & (distance <= REGION_PX)
     return Regions(
         labels=labels,
         plain=plain,
@@ -172,7 +172,7 @@ def _neighbours(labels: IntArray, logs: FloatArray) -> dict[str, Any]:
     keys, length = keys[length >= _FEWEST_CONTACTS], length[length >= _FEWEST_CONTACTS]
     one, other = keys // max(count, 1), keys % max(count, 1)
     sources, neighbours = np.concatenate([one, other]), np.concatenate([other, one])
-    contacts = np.minimum(np.tile(length, 2) / _FULL_CONTACT_PX, _MOST_CONTACT) / _NEIGHBOURS
+    contacts = np.minimum(np.tile(length, 2) / REGION_PX, _MOST_CONTACT) / _NEIGHBOURS
     order = np.argsort(sources, kind="stable")
     sources, neighbours = sources[order], neighbours[order]
     return {

@@ -22,10 +22,17 @@ from scipy.sparse.csgraph import connected_components
 
 from vntoolkit.arrays import FloatArray, IntArray, Mask, Points
 from vntoolkit.errors import BadInput
-from vntoolkit.materials.mixtures import INDEPENDENT_PX, Spread
+from vntoolkit.materials.mixtures import FIRST_SPREAD, INDEPENDENT_PX, Spread
 from vntoolkit.materials.paint_levels import FALL, PAINT_STEP, SeamSteps
-from vntoolkit.materials.reflectance import CAP, Lamps, Reflectance, best_fit, reflectance_from_fit
-from vntoolkit.materials.region_labels import agreed, prices_of_regions, spread_of, total_cost
+from vntoolkit.materials.reflectance import (
+    CAP,
+    LARGEST_RATIO,
+    Lamps,
+    Reflectance,
+    best_fit,
+    reflectance_from_fit,
+)
+from vntoolkit.materials.region_labels import DOUBTFUL, agreed, prices_of_regions, spread_of, total_cost
 from vntoolkit.materials.region_lengths import (
     WEAK_PRIOR,
     lengths_of,
@@ -45,7 +52,6 @@ from vntoolkit.spread import robust_deviation
 _SEARCHED_PIXELS = 40_000  # of the subject
 _LEAST_INSIDE = 1 / 3  # of the blocks, that lie inside patches, as of squares that hold a region each
 WORST_ERROR_DEG = 5.0  # of normals, by what their spread leaves open of a reflectance
-_LARGEST_RATIO = np.log(12.0)  # of the reflectances of one material
 _FEWEST_PIXELS = 300
 _FEWEST_REGIONS = 3
 _FIT_PIXELS = 2000
@@ -53,7 +59,6 @@ _TOLERANCES = (
     0.02,
     0.1,
 )  # least and most of a normal's length beyond noise that is no sign of another material
-_FIRST_TOLERANCE = 0.04
 _ROUGH = 0.2  # first tolerance of the regions' own reflectances, which falls by `FALL` a round
 _ROUNDS = 9
 _FIRST_ROUNDS, _FIT_ROUNDS = 4, 5
@@ -62,7 +67,6 @@ _ALIKE = 0.1  # spread of log ρ of the regions of one material
 _TWINS = 2.0
 _MOST_PROPOSALS = 16  # a third more than there may be in the end
 _FEWEST_VOTES = 1.0  # regions of full size
-_DOUBTFUL = 1.5  # price from which a region's seams tell nothing of its label
 _LARGEST_STEP = 0.3
 _FEW = 5.0  # nats of a material beside those of its numbers: subjects are of few
 _SPLITS, _LEAST_GAIN = 3, 1.0
@@ -173,13 +177,13 @@ def _reflectances_of_regions(regions: Regions, lamps: Lamps) -> tuple[Points, fl
     seams = SeamSteps(regions)
     x = seams.levels()
     weights = regions.sizes / INDEPENDENT_PX
-    known = np.arange(regions.samples.shape[1]) < regions.counts[:, None]
+    known = regions.known
     samples = (regions.samples * np.exp(-x)[:, None])[known]
     samples = np.ascontiguousarray(samples[:: max(1, len(samples) // _FIT_PIXELS)])
-    centre = best_fit(samples, lamps, _FIRST_TOLERANCE)[0]
+    centre = best_fit(samples, lamps, FIRST_SPREAD)[0]
     x = x + centre
     for done in range(_ROUNDS):
-        rough = max(_FIRST_TOLERANCE, _ROUGH * FALL**done)
+        rough = max(FIRST_SPREAD, _ROUGH * FALL**done)
         matrices, gradients = normal_equations(regions, x, lamps, weights, rough)
         x = seams.balanced(x, centre, max(1.0, CAP * FALL**done), matrices, gradients)
     lengths = (regions.samples * np.exp(-x)[:, None] - lamps.ambient)[known] @ lamps.inverse.T
@@ -205,7 +209,7 @@ def _proposals(own: Points, regions: Regions, count: int | None) -> Points:
             mode = (near[top] * left) @ own / (near[top] @ left)
             left &= np.sum((own - mode) ** 2, axis=1) > (2.0 * alike) ** 2
             left[top] = False
-            if np.ptp(mode) < _LARGEST_RATIO or not found:
+            if np.ptp(mode) < LARGEST_RATIO or not found:
                 found.append(mode)
         if count is None or len(found) >= count or alike < 1e-4:
             return np.array(found)
@@ -315,7 +319,7 @@ def _merged(found: _Found) -> tuple[Points, IntArray]:
 def _of_unexplained(found: _Found, regions: Regions, lamps: Lamps, tolerance: float) -> Points:
     """Return (m, 3), log ρ of patches that no material explains, by their own lengths and by their seams."""
     paid = np.take_along_axis(found.costs, found.labels[:, None], 1)[:, 0]
-    doubtful = paid > _DOUBTFUL
+    doubtful = paid > DOUBTFUL
     a, b = regions.sources, regions.neighbours
     alike = doubtful[a] & doubtful[b] & (np.abs(regions.steps).max(axis=1) < PAINT_STEP)
     graph = sparse.coo_array((np.ones(alike.sum()), (a[alike], b[alike])), shape=(regions.count,) * 2)
@@ -334,7 +338,7 @@ def _of_unexplained(found: _Found, regions: Regions, lamps: Lamps, tolerance: fl
         if across.any():
             starts = found.logs[found.labels[b[across]]] - regions.steps[across]
             fits.append(best_fit(pixels, lamps, tolerance, np.median(starts, axis=0)[None]))
-        proposals += [log for log, _, _ in fits if np.ptp(log) < _LARGEST_RATIO]
+        proposals += [log for log, _, _ in fits if np.ptp(log) < LARGEST_RATIO]
     kept: list[Any] = []
     for log in proposals:
         others = np.array([*found.logs, *kept])
@@ -405,7 +409,7 @@ def _converged(
     numbers = _numbers(regions) * (len(logs) - 2.0 / 3.0 * np.count_nonzero(of_rig))
     damping, matrix = WEAK_PRIOR * np.eye(size), np.zeros((size, size))
     is_given = spread is not None
-    spread = spread or Spread(_FIRST_TOLERANCE, _FIRST_TOLERANCE)
+    spread = spread or Spread(FIRST_SPREAD, FIRST_SPREAD)
     for _ in range(rounds):
         lengths = lengths_of(regions, logs, lamps)
         costs = prices_of_regions(lengths, spread)
@@ -465,7 +469,7 @@ def _add_steps(
 ) -> None:
     """Add the normal equations of the steps between materials, of log ρ z (m, 3)."""
     i, j = regions.sources, regions.neighbours
-    observable = (i < j) & (labels[i] != labels[j]) & (np.maximum(paid[i], paid[j]) <= _DOUBTFUL)
+    observable = (i < j) & (labels[i] != labels[j]) & (np.maximum(paid[i], paid[j]) <= DOUBTFUL)
     m, n = labels[i[observable]], labels[j[observable]]
     rest = regions.steps[observable] - z[n] + z[m]
     falling = 1.0 / (1.0 + ((rest / SHADING_STEP) ** 2).sum(axis=1) / CAP**2)

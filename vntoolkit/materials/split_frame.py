@@ -16,7 +16,7 @@ from vntoolkit.photometry.response import LightResponse
 
 WORKING_PIXELS = 60_000  # of the subject; more cost time and tell no other materials
 _LEAST_SIGNAL = 4.0  # standard deviations of noise that a lamp's contribution must exceed …
-_LEAST_SHARE = 0.06  # … and share of the strongest: the rest may be shadow
+LEAST_SHARE = 0.06  # … and share of the strongest: the rest may be shadow, which tells nothing
 _OF_INNER_HALF = 0.3777  # root mean square of the inner half of a normal distribution, in standard deviations
 _LEAST_NOISE = 1e-4
 _BOX_BLOCKS = 32  # that a subject moves before another part of the frame is looked at
@@ -151,5 +151,5 @@ def noise_of(rgb: FloatArray, inside: Mask) -> Vector3:
 def _lit(rgb: FloatArray, inside: Mask, split: Matrix3, least: Vector3) -> Mask:
     """Return whether all three lamps reach a pixel."""
     s = rgb @ split.T
-    share = _LEAST_SHARE * np.maximum(s.max(axis=2, keepdims=True), 0.0)
+    share = LEAST_SHARE * np.maximum(s.max(axis=2, keepdims=True), 0.0)
     return np.asarray(inside & (s > np.maximum(least, share)).all(axis=2))

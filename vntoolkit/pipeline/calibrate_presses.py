@@ -29,14 +29,8 @@ from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import Transfer, TransferCurve, encoded_from_linear, linear_from_encoded
 from vntoolkit.pipeline.corners import rectification_from_corners
-from vntoolkit.tactile.circles import (
-    FoundCircle,
-    Press,
-    aspect_of_contact,
-    find_contact_circle,
-    shrunk_change,
-)
-from vntoolkit.tactile.dots import DotFilter
+from vntoolkit.tactile.circles import Press, aspect_of_contact, find_contact_circle
+from vntoolkit.tactile.dots import DotFilter, shrunk
 from vntoolkit.tactile.fit import GelFit, angle_of_one_matrix, fit_gel_to_presses, largest_label_offset
 from vntoolkit.tactile.inversion import change_without_drift
 from vntoolkit.tactile.presses import PressSamples, samples_from_press
@@ -117,7 +111,7 @@ class _ReadPress:
     name: str
     samples: PressSamples | None
     labelled: Press | None
-    found: FoundCircle | None
+    found: Press | None
     change: LinearImage | None
     aspect: float | None
 
@@ -190,7 +184,7 @@ def _findings_from_background(read: list[_ReadPress]) -> list[Finding]:
     changes = changes[:: -(-len(changes) // _MOST_COMPARED)]
     common = np.asarray(np.median(changes, axis=0), dtype=np.float32)
     strength = _strength(common) / max(float(np.median([_strength(change) for change in changes])), 1e-9)
-    circles = [circle.press for circle in map(find_contact_circle, changes) if circle is not None]
+    circles = [circle for circle in map(find_contact_circle, changes) if circle is not None]
     found = np.array([(circle.u_px, circle.v_px, circle.radius_px) for circle in circles])
     common_dent = find_contact_circle(common)
     return press_checks.check_common_dent(common_dent, strength, found.reshape(-1, 3), len(changes))
@@ -212,7 +206,7 @@ def _findings_from_labels(read: list[_ReadPress], size: tuple[int, int]) -> list
     both = [
         ((label.u_px, label.v_px, label.radius_px), (found.u_px, found.v_px, found.radius_px))
         for press in read
-        for label, found in [(press.labelled, None if press.found is None else press.found.press)]
+        for label, found in [(press.labelled, press.found)]
         if label is not None and found is not None
     ]
     if not both:
@@ -351,11 +345,11 @@ def _read(reader: PressReader, options: PressOptions, rng: np.random.Generator) 
         samples = labelled = found = small = aspect = None
         if not reader.passes_over(name):
             change, filled = reader.change(job.prepare(frame))
-            found, small = find_contact_circle(change), shrunk_change(change)
+            found, small = find_contact_circle(change), shrunk(change)
             if found is not None and job.rectification is None:  # corners take a size each way
-                aspect = aspect_of_contact(change, found.press)
+                aspect = aspect_of_contact(change, found)
             labelled = reader.labelled(name)
-            press = labelled or (None if found is None else found.press)
+            press = labelled or found
             if press is not None:
                 own = replace(options, ball_radius_mm=reader.ball_radii_mm.get(name, options.ball_radius_mm))
                 samples = samples_from_press(change, reader.background.rgb, ~filled, press, own, rng)

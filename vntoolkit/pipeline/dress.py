@@ -34,7 +34,7 @@ from vntoolkit.shipped import shipped_files
 from vntoolkit.skinning import clock as clocks
 from vntoolkit.skinning.alignment import CapturedMotion, parts_of
 from vntoolkit.skinning.anatomy import anatomy_of, legs_of
-from vntoolkit.skinning.attachment import GarmentCover, SleeveCover, weights_without_web
+from vntoolkit.skinning.attachment import GarmentCover, weights_without_web
 from vntoolkit.skinning.blending import skinned_vertices
 from vntoolkit.skinning.findings import DressingFindings, DressingMeter
 from vntoolkit.skinning.fitting import Fitting, fit_garment_to_figure
@@ -247,15 +247,7 @@ def _cover(fitting: Fitting, skeleton: Skeleton) -> GarmentCover:
     elif not sleeved and fitting.garment is not Garment.SLEEVELESS:
         bare = []  # tubes and sheets whose sleeves do not stand out hang on the nearest bones
     return GarmentCover(
-        sleeves=tuple(
-            SleeveCover(
-                joints=one.arm.joints,
-                own=one.own_cloth,
-                covers=np.isfinite(one.sleeve.along),
-                shoulder=one.shoulder,
-            )
-            for one in fitting.sleeved
-        ),
+        sleeves=fitting.sleeved,
         trunk=fitting.regions.trunk,
         bones_from_pose=np.linalg.inv(fitting.rest_from_first),
         bare=tuple(bare),

@@ -44,7 +44,7 @@ from vntoolkit.photometry.transfer import TransferCurve
 from vntoolkit.pipeline.processes import map_in_processes
 from vntoolkit.simulation.head.rig import seam_lines_px
 from vntoolkit.simulation.image_formation import exposure_of_scene, light_colours_of, true_response
-from vntoolkit.simulation.lights import WAVELENGTHS_NM
+from vntoolkit.simulation.lights import FRAME_RATE_HZ, WAVELENGTHS_NM
 from vntoolkit.simulation.render import Renderer, SimulatedFrame, frame_generator, require_same_topology
 from vntoolkit.simulation.scene import Scene, build_scene
 
@@ -98,7 +98,7 @@ def simulate(job: SimulationJob, *, jobs: int = 1, overwrite: bool = False) -> i
             progress.step()
         _write_contact_sheet(job)
         filmed = (read_image(folder.staged(place)) for place in range(count))
-        write_video(folder.video, filmed, job.built.frame_rate_hz / job.numbers.step)
+        write_video(folder.video, filmed, FRAME_RATE_HZ / job.numbers.step)
         remove_numbered(folder.staged(0).parent, ".png", range(count))
     return len(missing)
 
@@ -248,7 +248,7 @@ def write_fixed_truth(job: SimulationJob) -> None:
     write_text(truth / "lights.json", json.dumps(_lights(job), indent=1) + "\n")
     facts = {
         "scene": scene.name,
-        "frame_rate_hz": scene.frame_rate_hz,
+        "frame_rate_hz": FRAME_RATE_HZ,
         "scene_frames": list(job.numbers),
         "facts": dict(scene.facts),
     }
@@ -269,7 +269,7 @@ def write_moving_mesh(job: SimulationJob, resume: bool, missing: Sequence[int]) 
     scene, numbers = job.built, job.numbers
     first = scene.vertices(numbers[0])
     template = Mesh(vertices=first, faces=scene.surface.faces)
-    rate = scene.frame_rate_hz / numbers.step
+    rate = FRAME_RATE_HZ / numbers.step
     with MeshSequenceWriter(job.folder.truth, template, frame_rate_hz=rate, resume=resume) as writer:
 
         def write_until(place: int) -> None:

@@ -17,7 +17,8 @@ from vntoolkit.io.footage.video import write_video
 from vntoolkit.pipeline.dress import DressedFigure, floor_height
 from vntoolkit.pipeline.threads import stepped
 from vntoolkit.report.pictures import write_tiles
-from vntoolkit.skinning.findings import STRETCHED, is_outside
+from vntoolkit.skinning.findings import is_outside
+from vntoolkit.skinning.stretch import STRETCHED
 
 BACKGROUND = (0.93, 0.94, 0.96)
 PLAIN = (0.66, 0.65, 0.62)  # of a mesh without colours

@@ -30,8 +30,7 @@ def write_press_overlay(path: Path | str, job: PressJob) -> None:
             circle = reader.labelled(name)
             by = "given"
             if circle is None and not reader.passes_over(name):
-                found, by = find_contact_circle(change), "found"
-                circle = None if found is None else found.press
+                circle, by = find_contact_circle(change), "found"
             axes.imshow(_shown(change))
             caption = "passed over"
             if circle is not None:

@@ -8,7 +8,7 @@ from vntoolkit.arrays import FloatArray, Matrix3, Vector3
 from vntoolkit.errors import BadInput
 from vntoolkit.options.simulation import Nuisances
 from vntoolkit.photometry.response import LightResponse, ResponseVariation, powers_to_degree
-from vntoolkit.simulation.lights import colour_from_spectrum
+from vntoolkit.simulation.lights import colour_from_spectrum, rgb_pigments
 from vntoolkit.simulation.scene import Scene
 
 _GRID = 15  # samples across and down the image
@@ -30,9 +30,9 @@ class Exposure:
     distances_m: FloatArray
 
 
-def light_colour(spectrum: FloatArray, reflectance: FloatArray, sensitivities: FloatArray) -> Vector3:
+def light_colour(spectrum: FloatArray, reflectance: FloatArray) -> Vector3:
     """Equation 2: ∫ S_k(λ) ρ(λ) ν_i(λ) dλ for i = red, green, blue; (3,)."""
-    return colour_from_spectrum(np.asarray(spectrum) * reflectance, sensitivities)
+    return colour_from_spectrum(np.asarray(spectrum) * reflectance)
 
 
 def response_matrix(light_colours: FloatArray, directions: FloatArray) -> Matrix3:
@@ -45,16 +45,16 @@ def exposure_of_scene(scene: Scene, nuisances: Nuisances) -> Exposure:
 
     The exposure is that of the full scene whichever nuisance is off, so that nothing else changes.
     """
-    lights, pigments, sensor = scene.lights, scene.surface.pigments, scene.sensitivities
-    colours = np.array([[light_colour(s, p, sensor) for p in pigments] for s in lights.spectra])
-    ambient = np.array([light_colour(lights.ambient_spectrum, p, sensor) for p in pigments])
-    gloss = colour_from_spectrum(lights.spectra, sensor)
+    lights, pigments = scene.lights, rgb_pigments()
+    colours = np.array([[light_colour(s, p) for p in pigments] for s in lights.spectra])
+    ambient = np.array([light_colour(lights.ambient_spectrum, p) for p in pigments])
+    gloss = colour_from_spectrum(lights.spectra)
     towards = lights.positions - scene.centre
     distances = np.linalg.norm(towards, axis=1)
     directions = towards / distances[:, None]
     full = colours
     if scene.exposed_for is not None:
-        full = np.array([[light_colour(s, p, sensor) for p in pigments] for s in scene.exposed_for.spectra])
+        full = np.array([[light_colour(s, p) for p in pigments] for s in scene.exposed_for.spectra])
     reference = np.einsum("kbi,b->ki", full, scene.surface.reference_weights)
     brightest = np.linalg.norm(response_matrix(reference, directions), axis=1).max()
     if not brightest > 0:

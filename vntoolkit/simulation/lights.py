@@ -13,10 +13,12 @@ from vntoolkit.arrays import FloatArray, Points, read_only
 from vntoolkit.checks import require_finite, require_shape
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
-from vntoolkit.options.simulation import Lighting
+from vntoolkit.options.simulation import Lighting, SceneOptions
 
+FRAME_RATE_HZ = 60.0  # of the camera
 WAVELENGTHS_NM = np.arange(380.0, 731.0, 5.0)
 _STEP_NM = 5.0
+_AMBIENT_LEVEL = 0.02
 _LAMP_TEMPERATURE_K = 3200.0
 _SECOND_RADIATION_CONSTANT_NM_K = 1.4387769e7
 
@@ -49,18 +51,18 @@ def white_lamp() -> FloatArray:
     Daylight-like: tungsten's light with its blue, green and red bands weighed against the camera.
     """
     bands = rgb_pigments() * _tungsten()
-    seen = colour_from_spectrum(bands, camera_sensitivities())
+    seen = colour_from_spectrum(bands)
     return np.linalg.solve(seen.T, np.ones(3)) @ bands
 
 
-def room_glow(level: float) -> FloatArray:
-    """Return (λ,) ambient light as `level` of a white lamp's light."""
-    return level * white_lamp()
+def room_glow() -> FloatArray:
+    """Return (λ,) ambient light, a share of a white lamp's light."""
+    return _AMBIENT_LEVEL * white_lamp()
 
 
-def colour_from_spectrum(power: FloatArray, sensitivities: FloatArray) -> FloatArray:
-    """Integrate power (..., λ) against sensitivities (3, λ) over wavelength: (..., 3)."""
-    return np.asarray(power) @ np.asarray(sensitivities).T * _STEP_NM
+def colour_from_spectrum(power: FloatArray) -> FloatArray:
+    """Integrate power (..., λ) against the camera's sensitivities over wavelength: (..., 3)."""
+    return np.asarray(power) @ camera_sensitivities().T * _STEP_NM
 
 
 def rgb_pigments() -> FloatArray:
@@ -154,17 +156,19 @@ CAMERA_DISTANCE_M = 5.0
 _LIGHT_DISTANCES_M = (5.2, 4.8, 5.4)
 _LIGHT_AZIMUTHS_DEG = (155.0, 35.0, 270.0)  # about the optical axis, 0 = right, 90 = down, seen by the camera
 _LIGHT_OFF_AXIS_DEG = 18.0  # on a cone of 18° the lights are 30° to 32° apart, and not in one plane
-_AMBIENT_LEVEL = 0.02
 
 
-def studio_camera(width: int, height: int, field_width_m: float) -> Camera:
+def studio_camera(options: SceneOptions, field_width_m: float) -> Camera:
     """Return a pinhole camera that sees `field_width_m` across at the subject, 5 m away.
 
-    Where the image is flatter than 4:3 the field's height is kept at 3/4 of `field_width_m`, so that the
-    subject stays whole.
+    The options may ask for another width. Where the image is flatter than 4:3 the field's height is kept at
+    3/4 of its width, so that the subject stays whole.
     """
-    pixels_per_metre = min(width / field_width_m, height / (0.75 * field_width_m))
-    return Camera.pinhole(width=width, height=height, focal_px=pixels_per_metre * CAMERA_DISTANCE_M)
+    field_width_m = options.field_width_m or field_width_m
+    pixels_per_metre = min(options.width / field_width_m, options.height / (0.75 * field_width_m))
+    return Camera.pinhole(
+        width=options.width, height=options.height, focal_px=pixels_per_metre * CAMERA_DISTANCE_M
+    )
 
 
 def studio_centre() -> np.ndarray[tuple[int], np.dtype[np.float64]]:
@@ -185,4 +189,4 @@ def studio_lights() -> Lights:
         axis=1,
     )
     positions = studio_centre() + np.array(_LIGHT_DISTANCES_M)[:, None] * towards
-    return Lights(positions=positions, spectra=coloured_lamps(), ambient_spectrum=room_glow(_AMBIENT_LEVEL))
+    return Lights(positions=positions, spectra=coloured_lamps(), ambient_spectrum=room_glow())

@@ -1,12 +1,11 @@
 """Effects of a real camera that violate r = M n; each can be turned off alone."""
 
-from dataclasses import dataclass
-
 import cv2
 import numpy as np
 
-from vntoolkit.arrays import Array, Float32Array, FloatArray, LinearImage, Mask
+from vntoolkit.arrays import Array, Float32Array, FloatArray, LinearImage
 from vntoolkit.options.simulation import Nuisances
+from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.transfer import encoded_from_linear, linear_from_integers
 
 # Malvar's linear interpolation (malvar2004), RGGB: green at red and blue; a colour along its own row of
@@ -22,25 +21,17 @@ _ACROSS = np.array(
 ) / np.float32(8)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Exposed:
-    """One photograph.
-
-    stored: (h, w, 3) uint8 or uint16 RGB over the type's full range, as the file holds it. linear: (h, w, 3)
-    what a reader who knows the transfer gets from it (without quantisation: the sensor's own values).
-    clipped: (h, w) True where a channel reached full scale.
-    """
-
-    stored: Array
-    linear: LinearImage
-    clipped: Mask
-
-
 # The camera: lens blur, noise, Bayer mosaic, clipping, quantisation.
 
 
-def expose(radiance: LinearImage, nuisances: Nuisances, generator: np.random.Generator) -> Exposed:
-    """Photograph linear light (h, w, 3), 1 = full scale."""
+def expose(
+    radiance: LinearImage, nuisances: Nuisances, generator: np.random.Generator, number: int = 0
+) -> tuple[Array, LinearFrame]:
+    """Photograph linear light (h, w, 3), 1 = full scale.
+
+    Returns (h, w, 3) uint8 or uint16 RGB over the type's full range, as the file holds it, and what a reader
+    who knows the transfer gets from it (without quantisation: the sensor's own values).
+    """
     if nuisances.blur_px > 0:
         radiance = blurred(radiance, nuisances.blur_px)
     raw = mosaic_from_rgb(radiance) if nuisances.bayer else radiance
@@ -54,7 +45,7 @@ def expose(radiance: LinearImage, nuisances: Nuisances, generator: np.random.Gen
     if nuisances.quantisation:
         rgb = linear_from_integers(stored, nuisances.file_transfer)
         clipped = _largest(stored) == np.iinfo(stored.dtype).max
-    return Exposed(stored=stored, linear=rgb.astype(np.float32), clipped=clipped)
+    return stored, LinearFrame(rgb=rgb.astype(np.float32), clipped=clipped, number=number)
 
 
 def _largest(rgb: Array) -> Array:

@@ -88,12 +88,12 @@ class Renderer:
         )
         radiance = (radiance / np.float32(samples)).astype(np.float32)
         radiance = radiance.reshape(camera.height, camera.width, 3)
-        exposed = expose(radiance, self.nuisances, generator)
+        stored, linear = expose(radiance, self.nuisances, generator, number)
         return SimulatedFrame(
             number=number,
             radiance=radiance,
-            stored=exposed.stored,
-            linear=LinearFrame(rgb=exposed.linear, clipped=exposed.clipped, number=number),
+            stored=stored,
+            linear=linear,
             truth=self._truth(vertices, next_vertices, sums, centre_hits),
         )
 

@@ -7,8 +7,7 @@ origin); the subject stands at `studio_centre()` = (0, 0, 5).
     def build_sphere(options: SceneOptions) -> Scene:
         return Scene(
             name="sphere",
-            camera=studio_camera(options.width, options.height, field_width_m=options.field_width_m or 1.0),
-            lights=studio_lights(),
+            camera=studio_camera(options, field_width_m=1.0),
             surface=SceneSurface(faces=faces, vertex_weights=weights),     # weights of the RGB pigments
             vertices=lambda frame: template + shift(frame),            # (n, 3) float64
             frame_count=60,
@@ -31,7 +30,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from vntoolkit.arrays import Faces, FloatArray, Points, read_only
-from vntoolkit.checks import require_finite, require_shape
+from vntoolkit.checks import require_shape
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.rigid import RigidTransform
@@ -75,19 +74,17 @@ class Detail:
 class SceneSurface:
     """Topology and material of a scene's one mesh.
 
-    faces: (m, 3) int32. pigments: (b, λ) reflectance spectra on `WAVELENGTHS_NM`, from 0 to 1. The
-    reflectance of a point is Σ_b weight_b · pigments[b], and its weights are the product of
-    `vertex_weights` (n, b), interpolated over the triangle, and `texture` (th, tw, b), bilinear, tiling;
-    either may be None for 1. uv: (m, 3, 2) per face corner, needed with texture or detail; (0, 0) is
+    faces: (m, 3) int32. The reflectance of a point is a weighted sum of `rgb_pigments`. Its weights are the
+    product of `vertex_weights` (n, 3), interpolated over the triangle, and `texture` (th, tw, 3), bilinear,
+    tiling; either may be None for 1. uv: (m, 3, 2) per face corner, needed with texture or detail; (0, 0) is
     the first corner of texture[0, 0], u runs along its columns and v along its rows, 1 = the whole image.
-    reference_weights: (b,) the material that M is stated for, usually the mean of the surface's weights.
+    reference_weights: (3,) the material that M is stated for, usually the mean of the surface's weights.
     gloss: strength of the specular lobe (energy share, 0 = matte), a number or (n,) per vertex;
     gloss_exponent: its sharpness (Blinn-Phong).
     """
 
     faces: Faces
     reference_weights: FloatArray
-    pigments: FloatArray = field(default_factory=studio.rgb_pigments)
     vertex_weights: FloatArray | None = None
     texture: FloatArray | None = None
     uv: FloatArray | None = None
@@ -98,13 +95,11 @@ class SceneSurface:
     def __post_init__(self) -> None:
         object.__setattr__(self, "faces", read_only(np.asarray(self.faces, dtype=np.int32)))
         require_shape(self.faces, (None, 3), "surface: faces")
-        count = len(self.pigments)
-        require_shape(self.pigments, (None, len(studio.WAVELENGTHS_NM)), "surface: pigments")
-        require_shape(np.asarray(self.reference_weights), (count,), "surface: reference_weights")
+        require_shape(np.asarray(self.reference_weights), (3,), "surface: reference_weights")
         if self.vertex_weights is not None:
-            require_shape(self.vertex_weights, (None, count), "surface: vertex_weights")
+            require_shape(self.vertex_weights, (None, 3), "surface: vertex_weights")
         if self.texture is not None:
-            require_shape(self.texture, (None, None, count), "surface: texture")
+            require_shape(self.texture, (None, None, 3), "surface: texture")
         if self.uv is not None:
             require_shape(self.uv, (len(self.faces), 3, 2), "surface: uv")
         elif self.texture is not None or self.detail is not None:
@@ -116,7 +111,7 @@ class Scene:
     """A filmed moving mesh (see the module's docstring for the rules).
 
     vertices: frame number -> (n, 3). centre: (3,) where M is stated; there every lamp has its nominal power.
-    sensitivities: (3, λ) ν_i(λ). background_rgb: linear colour where no surface is, 1 = full scale.
+    background_rgb: linear colour where no surface is, 1 = full scale.
     exposure_level: the brightest channel of the reference material at its best orientation, matte part,
     under the lamps `exposed_for`, or the scene's own where None.
     camera_from_object: frame number -> pose of the rigid object, or None where the surface deforms or has
@@ -126,13 +121,11 @@ class Scene:
 
     name: str
     camera: Camera
-    lights: studio.Lights
     surface: SceneSurface
     vertices: Callable[[int], Points]
     frame_count: int
-    frame_rate_hz: float = 60.0
+    lights: studio.Lights = field(default_factory=studio.studio_lights)
     centre: Points = field(default_factory=studio.studio_centre)
-    sensitivities: FloatArray = field(default_factory=studio.camera_sensitivities)
     background_rgb: float = 0.003
     exposure_level: float = 0.8
     exposed_for: studio.Lights | None = None
@@ -142,10 +135,8 @@ class Scene:
     def __post_init__(self) -> None:
         if not self.camera.is_perspective:
             raise BadInput(f"scene {self.name}: expected a perspective camera, at the origin")
-        if self.frame_count < 1 or not self.frame_rate_hz > 0:
-            raise BadInput(f"scene {self.name}: expected at least one frame and a positive frame rate")
-        require_shape(self.sensitivities, (3, len(studio.WAVELENGTHS_NM)), "scene: sensitivities")
-        require_finite(self.sensitivities, "scene: sensitivities")
+        if self.frame_count < 1:
+            raise BadInput(f"scene {self.name}: expected at least one frame")
 
     @property
     def vertex_count(self) -> int:
@@ -154,7 +145,7 @@ class Scene:
 
 
 def sample_weights(options: SceneOptions, otherwise: FloatArray) -> FloatArray:
-    """Return (b,) the pigments of the material in the board's hole: another scene's, or the board's own."""
+    """Return (3,) the pigments of the material in the board's hole: another scene's, or the board's own."""
     if options.sample is None:
         return otherwise
     return build_scene(options.sample, replace(options, sample=None)).surface.reference_weights

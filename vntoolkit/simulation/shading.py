@@ -93,7 +93,7 @@ class Shader:
         if self._vertex_weights is None and self._texture is None:
             reference = np.asarray(self._scene.surface.reference_weights, dtype=np.float64)
             return np.tile(reference, (len(hits.rays), 1))
-        weights: FloatArray = np.ones((len(hits.rays), len(self._scene.surface.pigments)))
+        weights: FloatArray = np.ones((len(hits.rays), 3))
         if self._vertex_weights is not None:
             weights *= self._at_hits(self._vertex_weights, hits)
         if self._texture is not None and self._uv is not None:

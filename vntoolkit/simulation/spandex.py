@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from vntoolkit.arrays import FloatArray, Points
 from vntoolkit.options.simulation import SceneOptions
-from vntoolkit.simulation.lights import studio_camera, studio_centre, studio_lights
+from vntoolkit.simulation.lights import FRAME_RATE_HZ, studio_camera, studio_centre
 from vntoolkit.simulation.scene import Scene, SceneSurface
 from vntoolkit.simulation.shapes import read_shape, smooth_step
 
@@ -37,13 +37,12 @@ def build_spandex(options: SceneOptions) -> Scene:
     )
 
     def vertices(frame: int) -> Points:
-        points = legs.vertices(step_at(frame / 60.0, phase))
+        points = legs.vertices(step_at(frame / FRAME_RATE_HZ, phase))
         return 0.01 * (points - _MIDDLE_CM) * [1.0, -1.0, -1.0] + studio_centre()
 
     return Scene(
         name="spandex",
-        camera=studio_camera(options.width, options.height, options.field_width_m or _FIELD_WIDTH_M),
-        lights=studio_lights(),
+        camera=studio_camera(options, _FIELD_WIDTH_M),
         surface=surface,
         vertices=vertices,
         frame_count=_FRAMES,

@@ -17,7 +17,7 @@ from vntoolkit.geometry.mesh import edges_from_faces
 from vntoolkit.geometry.motion import Skeleton
 from vntoolkit.geometry.rigid import RigidTransform
 from vntoolkit.options.dressing import Anchor
-from vntoolkit.skinning.anatomy import Anatomy, Arm, thigh_of
+from vntoolkit.skinning.anatomy import Anatomy, Arm, longest_bone_of
 from vntoolkit.skinning.blending import blended_vertices
 from vntoolkit.skinning.sleeves import Sleeve
 from vntoolkit.skinning.stretch import drawn_together
@@ -260,7 +260,7 @@ def parts_of(
             upper, fore, hand = one.arm.moved_with(skeleton)
             parts += [upper, fore + hand]
         for leg in legs:
-            knee = list(leg).index(thigh_of(skeleton, tuple(leg))) + 1
+            knee = list(leg).index(longest_bone_of(skeleton, tuple(leg))) + 1
             parts += [list(leg[:knee]), list(leg[knee:])]
     return parts
 

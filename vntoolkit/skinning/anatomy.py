@@ -86,19 +86,22 @@ def legs_of(skeleton: Skeleton, anatomy: Anatomy) -> tuple[tuple[int, ...], ...]
     return tuple(_longest_chain(skeleton, start, _descendants(skeleton, start)) for start in starts)
 
 
-def thigh_of(skeleton: Skeleton, leg: tuple[int, ...]) -> int:
-    """Return the joint of a leg that turns its longest bone."""
-    return _shoulder(skeleton, leg)
-
-
 def shoulders_of(skeleton: Skeleton, anatomy: Anatomy) -> tuple[int, ...]:
     """Return for each arm the joint that turns its longest bone: the upper arm, not the collar bone."""
-    return tuple(_shoulder(skeleton, arm) for arm in anatomy.arms)
+    return tuple(longest_bone_of(skeleton, arm) for arm in anatomy.arms)
 
 
-def _shoulder(skeleton: Skeleton, arm: tuple[int, ...]) -> int:
-    lengths = np.linalg.norm(skeleton.offsets[list(arm[1:])], axis=1)
-    return arm[int(np.argmax(lengths))] if len(lengths) else arm[0]
+def longest_bone_of(skeleton: Skeleton, chain: tuple[int, ...]) -> int:
+    """Return the joint that turns the longest bone of an arm or a leg."""
+    lengths = np.linalg.norm(skeleton.offsets[list(chain[1:])], axis=1)
+    return chain[int(np.argmax(lengths))] if len(lengths) else chain[0]
+
+
+def tip_of(skeleton: Skeleton, pose: FloatArray, joint: int) -> Vector3:
+    """Return (3,), where the bone of a last joint ends in a pose (j, 4, 4)."""
+    tips = np.flatnonzero(skeleton.tip_joints == joint)
+    offset = skeleton.tip_offsets[tips[0]] if len(tips) else np.zeros(3)
+    return np.asarray(pose[joint, :3, :3] @ offset + pose[joint, :3, 3])
 
 
 def facing_of(skeleton: Skeleton, legs: tuple[int, ...]) -> Vector3:
@@ -150,12 +153,7 @@ class Arm:
 
     def points(self, skeleton: Skeleton, pose: FloatArray) -> Points:
         """Return (3, 3): shoulder, elbow and wrist in a pose (j, 4, 4)."""
-        if self.hand >= 0:
-            wrist = pose[self.hand, :3, 3]
-        else:
-            tips = np.flatnonzero(skeleton.tip_joints == self.fore)
-            offset = skeleton.tip_offsets[tips[0]] if len(tips) else np.zeros(3)
-            wrist = pose[self.fore, :3, :3] @ offset + pose[self.fore, :3, 3]
+        wrist = pose[self.hand, :3, 3] if self.hand >= 0 else tip_of(skeleton, pose, self.fore)
         return np.stack([pose[self.upper, :3, 3], pose[self.fore, :3, 3], wrist])
 
 

@@ -8,54 +8,46 @@ from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.sparse.linalg import splu
 
 from vntoolkit.arrays import Faces, FloatArray, IntArray, Mask, Points, Vector3
-from vntoolkit.geometry.mesh import Mesh, edge_cotangents, face_normals, graph_laplacian, vertex_normals
+from vntoolkit.geometry.mesh import (
+    Mesh,
+    edge_cotangents,
+    face_normals,
+    factored,
+    graph_laplacian,
+    vertex_normals,
+)
 from vntoolkit.geometry.motion import Skeleton
 from vntoolkit.options.dressing import Falloff, WeightOptions
 from vntoolkit.skinning import weights as skin_weights
+from vntoolkit.skinning.alignment import SleevedArm
 from vntoolkit.skinning.blending import skinned_vertices
-from vntoolkit.skinning.stretch import edge_lengths, greatest_growth
+from vntoolkit.skinning.stretch import STRETCHED, edge_lengths, greatest_growth
 
-_EASY = 2.0  # cloth that stretches no more needs no other weights
 _HOLD = 2.0  # heat that a vertex takes from its bone: 1 blends wider, 4 stretches arms raised high
 _LEAST_COTANGENT, _MOST_COTANGENT = 0.01, 100.0  # a negative one could make a weight negative
 _GUESSED = 1e-3  # how a vertex that covers no bone holds the nearest, beside one that covers its own
 _NEAREST = 1e-2  # of the skeleton's height: nearer counts as this near
-KnownParts = dict[
-    tuple[bytes, ...], tuple[IntArray, FloatArray]
-]  # joints and shares, by all they follow from
 _CLOSER = 1 - 1e-9  # of the ball so far: bones meet at joints, where the first of them is taken
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class SleeveCover:
-    """What covers an arm.
-
-    joints: the arm's. covers: (n,) the sleeve. own: (n,) what of it follows the arm alone; the rest follows
-    the trunk too. shoulder: (3,) about which the arm turns.
-    """
-
-    joints: tuple[int, ...]
-    covers: Mask
-    own: Mask
-    shoulder: Vector3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GarmentCover:
     """Which part of a garment covers what.
 
-    sleeves: of the arms that have one. trunk: (n,) what no arm may move. bones_from_pose: (j, 4, 4), takes
-    the bones of an arm to where its sleeve has them. bare: joints that the garment does not cover, such as of
-    arms that have no sleeve; they move no cloth.
+    sleeves: the arms that have one. trunk: (n,) what no arm may move. bones_from_pose: (j, 4, 4), takes the
+    bones of an arm to where its sleeve has them; without sleeves, neither counts. bare: joints that the
+    garment does not cover, such as of arms that have no sleeve; they move no cloth.
     """
 
-    sleeves: tuple[SleeveCover, ...]
+    sleeves: tuple[SleevedArm, ...]
     trunk: Mask
     bones_from_pose: FloatArray
     bare: tuple[int, ...] = ()
+
+
+_WITHOUT_SLEEVES = GarmentCover(sleeves=(), trunk=np.zeros(0, np.bool_), bones_from_pose=np.zeros((0, 4, 4)))
 
 
 def weights_of_garment(
@@ -63,21 +55,49 @@ def weights_of_garment(
     skeleton: Skeleton,
     pose: FloatArray,
     options: WeightOptions,
-    cover: GarmentCover | None = None,
+    cover: GarmentCover = _WITHOUT_SLEEVES,
     stiffness: FloatArray | None = None,
-    known: KnownParts | None = None,
 ) -> skin_weights.SkinWeights:
     """Weigh a garment, on the skeleton in the pose (j, 4, 4), by the rule that the options name.
 
-    stiffness: (n,) where it is greater, the share of an arm changes more slowly along the cloth. known: parts
-    solved before, of which those that have not changed are taken.
+    By bone heat, −Δw + H w = H p (baran2007), p is 1 where a vertex covers the bone, H is 2 / d² of its
+    distance. The bone is the one on the inner side of the cloth, which a sheet seen from the front has too; a
+    test of visibility would need a closed garment.
+
+    Where sleeves are known, no arm moves the trunk below the armpits. First each vertex's share s of an arm:
+    0 on the trunk, 1 on the arm's own cloth. Between them it is the one that stretches least when the arm
+    turns: a point at ρ from the shoulder then moves by a length that grows with ρ, so that the cloth
+    stretches by ρ |∇s|, and div(ρ² ∇s) = 0 makes its square least. On the shoulders the trunk takes hold by
+    heat. Within its share each arm, and the rest of the body, weighs its bones by heat.
+
+    stiffness: (n,) where it is greater, the share of an arm changes more slowly along the cloth.
     """
     if options.falloff is not Falloff.HEAT:
         return skin_weights.weights_from_distances(garment.vertices, skeleton, pose, options)
-    if cover is None or not cover.sleeves:
-        bare = () if cover is None else cover.bare
-        return weights_from_heat(garment, skeleton, pose, options, bare)
-    return weights_with_sleeves(garment, skeleton, pose, options, cover, stiffness, known)
+    allowed = set(skin_weights.attracting_joints(skeleton, options.exclude))
+    sleeves = [one for one in cover.sleeves if allowed & set(one.arm.joints)]
+    taken = {joint for one in sleeves for joint in one.arm.joints} | set(cover.bare)
+    body = [joint for joint in range(len(skeleton.names)) if joint not in taken]
+    joints, distances, hold = _own_bones(garment, skeleton, pose, options, body)
+    even = np.ones(len(joints)) if stiffness is None else stiffness
+    cloth = _Cloth.of(garment)
+    shares = _arm_shares(garment.vertices, cloth, cover.trunk, sleeves, distances, even)
+    left = 1.0 - shares.sum(axis=1)
+    parts = [(left, *_spread_within(left > 0, cloth, joints, distances, hold))]
+    for one, share in zip(sleeves, shares.T, strict=True):
+        turning, *ends = skin_weights.attracting_bones(skeleton, pose, options.exclude, one.arm.joints)
+        placed = cover.bones_from_pose[turning]
+        bones = (
+            turning,
+            *(np.einsum("bij,bj->bi", placed[:, :3, :3], end) + placed[:, :3, 3] for end in ends),
+        )
+        nearest, gaps = skin_weights.nearest_joints(garment.vertices, *bones, count=1)
+        gaps = np.maximum(gaps[:, 0], _least_distance(skeleton, bones[1]))
+        sure = np.ones(len(gaps))
+        parts.append((share, *_spread_within(share > 0, cloth, nearest[:, 0], gaps, sure)))
+    used = np.concatenate([joints for _, joints, _ in parts])
+    weights = np.concatenate([share[:, None] * within for share, _, within in parts], axis=1)
+    return _heaviest(used, weights, options.bones)
 
 
 def weights_without_web(
@@ -88,7 +108,7 @@ def weights_without_web(
     *,
     poses: FloatArray,
     max_stretch: float,
-    cover: GarmentCover | None = None,
+    cover: GarmentCover = _WITHOUT_SLEEVES,
 ) -> tuple[skin_weights.SkinWeights, Faces]:
     """Weigh a garment, see where the poses (f, j, 4, 4) overstretch it, and weigh again; return what is left.
 
@@ -98,8 +118,7 @@ def weights_without_web(
     bears that, so the capture joined what only touched. Weights by distance know no triangles: they would
     stay, web and all, so nothing is cut for them, nor at 0.
     """
-    known: KnownParts = {}
-    weights = weights_of_garment(garment, skeleton, pose, options, cover, known=known)
+    weights = weights_of_garment(garment, skeleton, pose, options, cover)
     faces = garment.faces
     if options.falloff is not Falloff.HEAT or not max_stretch:
         return weights, faces
@@ -109,123 +128,46 @@ def weights_without_web(
         growth = np.maximum(growth, greatest_growth(moved, faces, longest))
     heaviest = weights.joints[np.arange(len(weights.joints)), weights.weights.argmax(axis=1)]
     web = (growth > max_stretch) & (np.ptp(heaviest[faces], axis=1) > 0)
-    has_sleeves = cover is not None and bool(cover.sleeves)
-    if not web.any() and not (has_sleeves and growth.max(initial=1.0) > _EASY):
+    if not web.any() and not (cover.sleeves and growth.max(initial=1.0) > STRETCHED):
         return weights, faces
     most = np.ones(len(garment.vertices))
     np.maximum.at(most, faces.ravel(), np.repeat(np.minimum(growth, max_stretch), 3))
     left = Mesh(vertices=garment.vertices, faces=faces[~web])
-    return weights_of_garment(left, skeleton, pose, options, cover, most**2, known), left.faces
-
-
-def weights_from_heat(
-    garment: Mesh,
-    skeleton: Skeleton,
-    pose: FloatArray,
-    options: WeightOptions,
-    bare: Collection[int] = (),
-) -> skin_weights.SkinWeights:
-    """Weigh the garment's vertices by bone heat: −Δw + H w = H p, baran2007.
-
-    garment: on the skeleton in the pose (j, 4, 4). p is 1 where a vertex covers the bone, H is 2 / d² of
-    its distance. The bone is the one on the inner side of the cloth, which a sheet seen from the front has
-    too; a test of visibility would need a closed garment. bare: joints that it does not cover.
-    """
-    among = [joint for joint in range(len(skeleton.names)) if joint not in bare]
-    joints, distances, hold = _own_bones(garment, skeleton, pose, options, among)
-    used, shares = _spread(_Cloth.of(garment), joints, distances, hold)
-    return _heaviest(used, shares, options.bones)
-
-
-def weights_with_sleeves(
-    garment: Mesh,
-    skeleton: Skeleton,
-    pose: FloatArray,
-    options: WeightOptions,
-    cover: GarmentCover,
-    stiffness: FloatArray | None = None,
-    known: KnownParts | None = None,
-) -> skin_weights.SkinWeights:
-    """Weigh a garment whose sleeves are known, so that no arm moves the trunk below the armpits.
-
-    First each vertex's share s of an arm: 0 on the trunk, 1 on the arm's own cloth. Between them it is
-    the one that stretches least when the arm turns: a point at ρ from the shoulder then moves by a length
-    that grows with ρ, so that the cloth stretches by ρ |∇s|, and div(ρ² ∇s) = 0 makes its square least. On
-    the shoulders the trunk takes hold by heat. Within its share each arm, and the rest of the body, weighs
-    its bones by heat.
-    """
-    allowed = set(skin_weights.attracting_joints(skeleton, options.exclude))
-    sleeves = [one for one in cover.sleeves if allowed & set(one.joints)]
-    taken = {joint for one in sleeves for joint in one.joints} | set(cover.bare)
-    body = [joint for joint in range(len(skeleton.names)) if joint not in taken]
-    joints, distances, hold = _own_bones(garment, skeleton, pose, options, body)
-    even = np.ones(len(joints)) if stiffness is None else stiffness
-    cloth, known = _Cloth.of(garment), {} if known is None else known
-    shares = _arm_shares(garment.vertices, cloth, cover.trunk, sleeves, distances, even)
-    left = 1.0 - shares.sum(axis=1)
-    parts = [(left, *_spread_within(left > 0, cloth, joints, distances, hold, known))]
-    for one, share in zip(sleeves, shares.T, strict=True):
-        turning, *ends = skin_weights.attracting_bones(skeleton, pose, options.exclude, one.joints)
-        placed = cover.bones_from_pose[turning]
-        bones = (
-            turning,
-            *(np.einsum("bij,bj->bi", placed[:, :3, :3], end) + placed[:, :3, 3] for end in ends),
-        )
-        nearest, gaps = skin_weights.nearest_joints(garment.vertices, *bones, count=1)
-        gaps = np.maximum(gaps[:, 0], _least_distance(skeleton, bones[1]))
-        sure = np.ones(len(gaps))
-        parts.append((share, *_spread_within(share > 0, cloth, nearest[:, 0], gaps, sure, known)))
-    used = np.concatenate([joints for _, joints, _ in parts])
-    weights = np.concatenate([share[:, None] * within for share, _, within in parts], axis=1)
-    return _heaviest(used, weights, options.bones)
+    return weights_of_garment(left, skeleton, pose, options, cover, most**2), left.faces
 
 
 def _arm_shares(
     vertices: Points,
     cloth: _Cloth,
     trunk: Mask,
-    sleeves: Sequence[SleeveCover],
+    sleeves: Sequence[SleevedArm],
     distances: FloatArray,
     stiffness: FloatArray,
 ) -> FloatArray:
     """Return (n, arms): how much each vertex follows an arm. distances: (n,) to the bones of the rest."""
-    none = np.zeros((len(distances), 0), dtype=bool)
-    beyond = np.column_stack([none, *(one.own for one in sleeves)])
-    on_sleeve = np.column_stack([none, *(one.covers for one in sleeves)]).any(axis=1)
+    if not sleeves:
+        return np.zeros((len(distances), 0))
+    beyond = np.column_stack([one.own_cloth for one in sleeves])
+    on_sleeve = np.isfinite([one.sleeve.along for one in sleeves]).any(axis=0)
     shares = beyond.astype(np.float64)
     free = ~trunk & ~beyond.any(axis=1)
-    if not free.any() or not sleeves:
+    if not free.any():
         return shares
     held = np.where(on_sleeve, 1e-9, _HOLD) * cloth.areas / distances**2
     for arm, one in enumerate(sleeves):
         turning = np.linalg.norm(vertices - one.shoulder, axis=1)
         stiff = stiffness * turning**2
         matrix = sp.csr_array(cloth.laplacian(stiff) + sp.diags_array(held * turning**2))
-        factor = splu(
-            sp.csc_array(matrix[free][:, free]),
-            permc_spec="MMD_AT_PLUS_A",
-            diag_pivot_thresh=0.0,
-            options={"SymmetricMode": True},
-        )
         sources = -(matrix[free][:, ~free] @ shares[~free, arm])
-        shares[free, arm] = np.clip(factor.solve(sources), 0.0, 1.0)
+        shares[free, arm] = np.clip(factored(matrix[free][:, free]).solve(sources), 0.0, 1.0)
     return shares / np.maximum(shares.sum(axis=1, keepdims=True), 1.0)
 
 
 def _spread_within(
-    inside: Mask,
-    cloth: _Cloth,
-    joints: IntArray,
-    distances: FloatArray,
-    hold: FloatArray,
-    known: KnownParts,
+    inside: Mask, cloth: _Cloth, joints: IntArray, distances: FloatArray, hold: FloatArray
 ) -> tuple[IntArray, FloatArray]:
     """Let heat spread over a part (n,) of the garment alone; elsewhere the shares are 0."""
-    part, values = cloth.part(inside), (joints[inside], distances[inside], hold[inside])
-    key = tuple(value.tobytes() for value in (inside, part.faces, *values))
-    if key not in known:
-        known[key] = _spread(part, *values)
-    used, within = known[key]
+    used, within = _spread(cloth.part(inside), joints[inside], distances[inside], hold[inside])
     shares = np.zeros((len(inside), len(used)))
     shares[inside] = within
     return used, shares
@@ -239,11 +181,10 @@ def _spread(
     if len(used) == 1:
         return used, np.ones((len(joints), 1))
     heat = _HOLD * hold * cloth.areas / distances**2
-    matrix = sp.csc_array(cloth.laplacian() + sp.diags_array(heat))
-    factor = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
     sources = np.zeros((len(joints), len(used)))
     sources[np.arange(len(joints)), column] = heat
-    return used, np.maximum(factor.solve(sources), 0.0)
+    solved = factored(cloth.laplacian() + sp.diags_array(heat)).solve(sources)
+    return used, np.maximum(solved, 0.0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -26,17 +26,17 @@ def skinned_vertices(
     Returns (n, 3) float64. Blend.DUAL_QUATERNION mixes the motions S_i R_i⁻¹ as rigid ones instead.
     posed_from_model S and rest_from_model R: (j, 4, 4) rigid, the pose now and the pose of attachment.
     """
-    require_shape(vertices, (len(weights.weights), 3), "vertices to skin")
     posed_from_rest = posed_from_model @ _rigid_inverses(rest_from_model)
     if blend is Blend.LINEAR:
-        return _linear(vertices, weights, posed_from_rest)
+        return blended_vertices(vertices, weights, posed_from_rest)
     return _dual(vertices, weights, dual_quaternions(posed_from_rest))
 
 
 def blended_vertices(vertices: Points, weights: SkinWeights, transforms: FloatArray) -> Points:
     """Return (n, 3): each vertex moved by the weighted mean of its bones' transforms, (j, 4, 4) affine."""
     require_shape(vertices, (len(weights.weights), 3), "vertices to skin")
-    return _linear(vertices, weights, transforms)
+    mean = _means(weights.joints, weights.weights, transforms[:, :3].reshape(-1, 12)).reshape(-1, 3, 4)
+    return np.asarray(np.einsum("nij,nj->ni", mean[:, :, :3], vertices) + mean[:, :, 3], np.float64)
 
 
 def _rigid_inverses(matrices: FloatArray) -> FloatArray:
@@ -52,12 +52,8 @@ def dual_quaternions(transforms: FloatArray) -> FloatArray:
     return np.concatenate([real, dual_axis, dual_w], axis=1)
 
 
-def _linear(vertices: Points, weights: SkinWeights, transforms: FloatArray) -> Points:
-    mean = _means(weights.joints, weights.weights, transforms[:, :3].reshape(-1, 12)).reshape(-1, 3, 4)
-    return np.asarray(np.einsum("nij,nj->ni", mean[:, :, :3], vertices) + mean[:, :, 3], np.float64)
-
-
 def _dual(vertices: Points, weights: SkinWeights, quaternions: FloatArray) -> Points:
+    require_shape(vertices, (len(weights.weights), 3), "vertices to skin")
     joints = weights.joints
     alike = np.einsum("ni,nki->nk", quaternions[joints[:, 0], :4], quaternions[joints][:, :, :4])
     # the first joint is the heaviest: the others are turned to its hemisphere

@@ -9,9 +9,9 @@ from vntoolkit.arrays import BoolArray, FloatArray, IntArray, Points
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.motion import Skeleton
 from vntoolkit.skinning.alignment import SleevedArm
-from vntoolkit.skinning.stretch import edge_lengths, greatest_growth
+from vntoolkit.skinning.stretch import STRETCHED, edge_lengths, greatest_growth
 
-STRETCHED, TORN = 2.0, 3.0  # a knit bears about the first; the second shows as a web
+TORN = 3.0  # shows as a web
 _LEAST_VERTICES = 6  # of a sleeve's section, for its motion
 _SIDES = {1: "left", -1: "right"}
 

@@ -251,9 +251,7 @@ def arms_aimed_at_sleeves(
     middle = float(pose[list(anatomy.trunk), 0, 3].mean())
     for arm, shoulder in zip(anatomy.arms, anatomies.shoulders_of(skeleton, anatomy), strict=True):
         start = pose[shoulder, :3, 3]
-        tips = np.flatnonzero(skeleton.tip_joints == arm[-1])
-        offset = skeleton.tip_offsets[tips[0]] if len(tips) else np.zeros(3)
-        end = pose[arm[-1], :3, :3] @ offset + pose[arm[-1], :3, 3]
+        end = anatomies.tip_of(skeleton, pose, arm[-1])
         reach = np.linalg.norm(end - start)
         side = np.sign(end[0] - middle)
         outward = side * (vertices[:, 0] - middle)
@@ -275,7 +273,7 @@ def legs_aimed_at_hems(
     """
     turns = {}
     for leg in anatomies.legs_of(skeleton, anatomy):
-        hip = anatomies.thigh_of(skeleton, leg)
+        hip = anatomies.longest_bone_of(skeleton, leg)
         end = pose[leg[min(leg.index(hip) + 2, len(leg) - 1)], :3, 3]
         start = pose[hip, :3, 3]
         side = int(start[0] > pose[0, 0, 3])

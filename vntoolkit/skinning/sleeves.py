@@ -55,11 +55,6 @@ class Sleeve:
         """Length of the axis."""
         return float(self.stations[-1])
 
-    @property
-    def radius(self) -> float:
-        """Median radius."""
-        return float(np.median(self.radii))
-
     def point_at(self, along: float) -> Vector3:
         """Return (3,): the point of the axis at a length from the armhole; beyond its ends, on their line."""
         stations, end = self.stations, len(self.axis) - 1
@@ -255,13 +250,9 @@ def _armpits(mask: Mask) -> Iterator[tuple[int, int]]:
 
 
 def _hull_of(mask: Mask) -> Mask:
-    rows, columns = np.nonzero(mask)
-    corners = ConvexHull(np.column_stack([columns, rows])).vertices
-    fan = np.column_stack([columns[corners], rows[corners], np.zeros(len(corners))]).astype(np.float64)
-    count = np.arange(1, len(corners) - 1)
-    filled = np.full(mask.shape, np.inf)
-    _fill(fan, np.column_stack([0 * count, count, count + 1]).astype(np.int32), filled)
-    return np.isfinite(filled) | mask
+    sides = ConvexHull(np.argwhere(mask)).equations  # outward normals and offsets
+    places = np.moveaxis(np.indices(mask.shape), 0, -1)
+    return np.asarray((places @ sides[:, :2].T + sides[:, 2] < 1e-6).all(axis=2))
 
 
 _Parts = tuple[tuple[int, int], Mask, FloatArray]

@@ -5,6 +5,7 @@ import numpy as np
 from vntoolkit.arrays import Faces, FloatArray, Points
 from vntoolkit.native import njit
 
+STRETCHED = 2.0  # a knit bears about so much
 _REACHED = 1.02  # of the square of a length: near enough, else neighbours pull at each other without end
 _SWEEPS = 24  # more of them move less than a thousandth of the cloth
 

@@ -15,9 +15,9 @@ from scipy import fft
 
 from vntoolkit.arrays import FloatArray, LinearImage
 from vntoolkit.checks import require_shape
+from vntoolkit.tactile.dots import shrunk, step_of
 
-_SEARCHED_PX = 120  # shorter side of the picture that is searched; the middle is found between its pixels
-_BLUR_PX = 1.0  # there: what is left of dots and grain is no dent
+_BLUR_PX = 1.0  # of the shrunk picture: what is left of dots and grain is no dent
 _NOISE_FACTOR = 3.0  # changes below so many times the median are noise, and are shrunk to 0
 _SMALLEST_RADIUS_PX = 3
 _RAYS, _ROUNDS = 24, 8  # from the middle of a contact; of a robust fit
@@ -27,26 +27,17 @@ _LEAST_SYMMETRY = 0.4  # 1 where all of the change is odd about the middle, 0 fo
 
 @dataclass(frozen=True, kw_only=True)
 class Press:
-    """One press as labelled: centre (u, v) and radius of the contact circle, pixels."""
+    """One press, labelled or found: centre (u, v) and radius of the contact circle, pixels."""
 
     u_px: float
     v_px: float
     radius_px: float
 
 
-@dataclass(frozen=True, kw_only=True)
-class FoundCircle:
-    """A contact circle and how odd the change is about its middle, at most 1."""
-
-    press: Press
-    symmetry: float
-
-
-def find_contact_circle(change: LinearImage) -> FoundCircle | None:
+def find_contact_circle(change: LinearImage) -> Press | None:
     """Find the dent of one ball in a change of colour (h, w, 3) without drift and dots; None without one."""
     require_shape(change, (None, None, 3), "change of colour")
-    step = _step_of(change)
-    small = shrunk_change(change)
+    step, small = step_of(change.shape), shrunk(change)
     height, width = small.shape[:2]
     small = np.asarray(cv2.GaussianBlur(small, (0, 0), _BLUR_PX), dtype=np.float32)
     strength = np.linalg.norm(small, axis=2)
@@ -58,8 +49,7 @@ def find_contact_circle(change: LinearImage) -> FoundCircle | None:
     spectrum = fft.rfft2(small, (2 * height, 2 * width), axes=(0, 1))
     odd = -np.asarray(fft.irfft2((spectrum**2).sum(axis=2), (2 * height, 2 * width)))
     row, column = np.unravel_index(int(np.argmax(odd)), odd.shape)
-    symmetry = float(odd[row, column]) / energy
-    if symmetry < _LEAST_SYMMETRY:
+    if odd[row, column] < _LEAST_SYMMETRY * energy:
         return None
     v = (row + _peak(odd[:, column], int(row))) / 2
     u = (column + _peak(odd[row], int(column))) / 2
@@ -67,8 +57,7 @@ def find_contact_circle(change: LinearImage) -> FoundCircle | None:
     if radius is None:
         return None
     middle = (step - 1) / 2  # of a block of pixels
-    press = Press(u_px=u * step + middle, v_px=v * step + middle, radius_px=radius * step)
-    return FoundCircle(press=press, symmetry=symmetry)
+    return Press(u_px=u * step + middle, v_px=v * step + middle, radius_px=radius * step)
 
 
 def aspect_of_contact(change: LinearImage, press: Press) -> float | None:
@@ -95,18 +84,6 @@ def aspect_of_contact(change: LinearImage, press: Press) -> float | None:
         left = np.abs(logs - design @ found)
         weight = 1.0 / np.sqrt(1.0 + (left / (2.0 * np.median(left) + 1e-6)) ** 2)
     return float(np.exp(-2.0 * found[1]))
-
-
-def shrunk_change(change: LinearImage) -> LinearImage:
-    """A change of colour (h, w, 3) as it is searched, its shorter side 120 to 239 pixels long."""
-    step = _step_of(change)
-    height, width = change.shape[0] // step, change.shape[1] // step
-    whole = change[: height * step, : width * step]
-    return np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA), dtype=np.float32)
-
-
-def _step_of(change: LinearImage) -> int:
-    return max(1, min(change.shape[:2]) // _SEARCHED_PX)
 
 
 def _peak(values: FloatArray, at: int) -> float:

@@ -12,10 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import ndimage
 
-from vntoolkit.arrays import Array, Mask
+from vntoolkit.arrays import FloatArray, Mask, Points, Vector3, box_of
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap
-from vntoolkit.native import njit
 
 _RIM_SHARE = 1 / 3  # of a dent's depth, at which its contact ends
 _SHALLOWEST_M = 1e-4  # what the drift of lamps leaves of depth on an untouched gel
@@ -44,37 +43,26 @@ def rested(depth_map: DepthMap) -> DepthMap:
     tilts every normal by parts of a degree, which adds up across the gel. Where less than a third of the gel
     rests, its height alone is taken out.
     """
-    mask = depth_map.mask
-    given = np.ascontiguousarray(depth_map.depth)
+    depth, mask = depth_map.depth, depth_map.mask
+    y, x = np.meshgrid(*(np.linspace(-1, 1, n) for n in depth.shape), indexing="ij", sparse=True)
     step = max(1, round(float(np.sqrt(mask.size / _VOTES))))
-    depth = np.empty_like(given)
-    _less_plane(given, mask, _plane_at_rest(given, mask, step), depth)
-    return replace(depth_map, depth=depth)
+    chosen = mask[::step, ::step]
+    terms = np.stack(np.broadcast_arrays(1.0, x[:, ::step], y[::step]), axis=-1)[chosen]
+    height, along_x, along_y = _plane_at_rest(depth[::step, ::step][chosen].astype(np.float64), terms)
+    plane = height + along_x * x + along_y * y
+    return replace(depth_map, depth=(depth - plane * mask).astype(depth.dtype))
 
 
-@njit
-def _plane_at_rest(depth: Array, mask: Mask, step: int) -> Array:
-    """Height and slopes (3,) along x and y, which run from −1 to 1 over the picture."""
-    height, width = mask.shape
-    most = ((height + step - 1) // step) * ((width + step - 1) // step)
-    values, terms = np.empty(most), np.ones((most, 3))
-    count = 0
-    for v in range(0, height, step):
-        for u in range(0, width, step):
-            if mask[v, u]:
-                values[count] = depth[v, u]
-                terms[count, 1] = 2.0 * u / max(width - 1, 1) - 1.0
-                terms[count, 2] = 2.0 * v / max(height - 1, 1) - 1.0
-                count += 1
-    plane: Array = np.zeros(3)
-    if count == 0:
+def _plane_at_rest(values: FloatArray, terms: Points) -> Vector3:
+    """Fit height and slopes along x and y to depths (n,). terms: (n, 3), 1, x, y."""
+    plane: Vector3 = np.zeros(3)
+    if not len(values):
         return plane
-    values, terms = values[:count], terms[:count]
     plane[0] = np.median(values)
     for _ in range(_REST_ROUNDS):  # dents pull the median: left out, it comes to rest
         rest = values - terms @ plane
         flat = np.abs(rest) < 2 * _SHALLOWEST_M
-        share = np.count_nonzero(flat) / count
+        share = np.count_nonzero(flat) / len(flat)
         if share > _RESTING_SHARE:
             resting = terms[flat]
             plane = np.linalg.solve(resting.T @ resting, resting.T @ values[flat])
@@ -83,58 +71,21 @@ def _plane_at_rest(depth: Array, mask: Mask, step: int) -> Array:
     return plane
 
 
-@njit
-def _less_plane(depth: Array, mask: Mask, plane: Array, out: Array) -> None:
-    """Put the depth less the plane into `out`; outside the mask it stays."""
-    height, width = mask.shape
-    for v in range(height):
-        across = plane[0] + plane[2] * (2.0 * v / max(height - 1, 1) - 1.0)
-        slope = 2.0 * plane[1] / max(width - 1, 1)
-        for u in range(width):
-            out[v, u] = depth[v, u] - (across - plane[1] + slope * u) * mask[v, u]
-
-
 def contact_from_depth(depth_map: DepthMap, camera: Camera) -> Contact:
     """Find the contacts in the depth of a gel whose rest is 0, metres."""
-    depth = np.ascontiguousarray(depth_map.depth)
-    mask: Mask = np.zeros(depth.shape, dtype=np.bool_)
-    top, bottom, left, right = _box_of_dents(depth, depth_map.mask, _SHALLOWEST_M)
-    count, deepest = 0, 0.0
-    if bottom > top:
-        window = slice(top, bottom), slice(left, right)
-        dented = (depth[window] < -_SHALLOWEST_M) & depth_map.mask[window]
-        labels, dents = ndimage.label(dented)
-        count, deepest = _mark_contacts(depth[window], labels, dents, mask[window])
-    pixel_mm = 1000.0 / float(camera.matrix[0, 0])
-    return Contact(mask=mask, area_mm2=float(count) * pixel_mm**2, depth_mm=1000.0 * float(deepest))
-
-
-@njit
-def _box_of_dents(depth: Array, mask: Mask, shallowest: float) -> tuple[int, int, int, int]:
-    """First and last row, first and last column (the last ones exclusive) of what is dented."""
-    height, width = mask.shape
-    top, bottom, left, right = height, 0, width, 0
-    for v in range(height):
-        for u in range(width):
-            if depth[v, u] < -shallowest and mask[v, u]:
-                top, bottom = min(top, v), v + 1
-                left, right = min(left, u), max(right, u + 1)
-    return top, bottom, left, right
-
-
-@njit
-def _mark_contacts(depth: Array, labels: Array, count: int, mask: Mask) -> tuple[int, float]:
-    """Mark in `mask` what lies deeper than a share of its dent's depth; pixels marked, and the deepest."""
+    dented = (depth_map.depth < -_SHALLOWEST_M) & depth_map.mask
+    box = box_of(dented)
+    labels, count = ndimage.label(dented[box])
+    depth = -depth_map.depth[box]
     deepest = np.zeros(count + 1, depth.dtype)
-    for v in range(labels.shape[0]):
-        for u in range(labels.shape[1]):
-            deepest[labels[v, u]] = max(deepest[labels[v, u]], -depth[v, u])
-    marked, most = 0, 0.0
-    for v in range(labels.shape[0]):
-        for u in range(labels.shape[1]):
-            dent = deepest[labels[v, u]]
-            enough = dent >= 2 * _SHALLOWEST_M  # no deeper than what drift leaves
-            if labels[v, u] > 0 and enough and -depth[v, u] > _RIM_SHARE * dent:
-                mask[v, u] = True
-                marked, most = marked + 1, max(most, -depth[v, u])
-    return marked, most
+    np.maximum.at(deepest, labels, depth)
+    deepest[deepest < 2 * _SHALLOWEST_M] = np.inf  # no deeper than what drift leaves
+    touching = dented[box] & (depth > _RIM_SHARE * deepest[labels])
+    mask: Mask = np.zeros(dented.shape, np.bool_)
+    mask[box] = touching
+    pixel_mm = 1000.0 / float(camera.matrix[0, 0])
+    return Contact(
+        mask=mask,
+        area_mm2=float(np.count_nonzero(touching)) * pixel_mm**2,
+        depth_mm=1000.0 * float(depth[touching].max(initial=0.0)),
+    )

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from vntoolkit.arrays import Array, ByteArray, LinearImage, Mask
+from vntoolkit.arrays import Array, BoolArray, ByteArray, LinearImage, Mask, box_of
 from vntoolkit.native import njit
 
 _WINDOW_SHARE = 1 / 16  # of the shorter side: sensors print ten dots across and more, each half a gap wide
@@ -26,20 +26,26 @@ BLACK = 1e-6
 _SEARCHED_PX = 120  # shorter side of the picture that is searched; a dot is still some pixels wide
 
 
-def _shrunk(image: LinearImage) -> LinearImage:
-    """Means over squares of whole pixels; what is left over below and to the right is not searched."""
-    height, width = image.shape[:2]
-    step = max(1, min(height, width) // _SEARCHED_PX)
-    small = np.empty((height // step, width // step, 3), np.float32)
-    _take_means(np.ascontiguousarray(image), step, small)
-    return small
+def shrunk(image: LinearImage) -> LinearImage:
+    """A picture (h, w, 3) as it is searched, its shorter side 120 to 239 pixels long.
+
+    Means over squares of whole pixels; what is left over below and to the right is not searched.
+    """
+    step = step_of(image.shape)
+    height, width = image.shape[0] // step, image.shape[1] // step
+    whole = image[: height * step, : width * step]
+    return np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA), dtype=np.float32)
+
+
+def step_of(shape: tuple[int, ...]) -> int:
+    """Side in pixels of the squares whose means `shrunk` takes."""
+    return max(1, min(shape[:2]) // _SEARCHED_PX)
 
 
 def _enlarged(small: ByteArray, shape: tuple[int, int]) -> Mask:
-    height, width = shape
-    step = max(1, min(height, width) // _SEARCHED_PX)
+    step = step_of(shape)
     mask: Mask = np.zeros(shape, np.bool_)
-    _repeat(small, step, mask)
+    mask[: step * small.shape[0], : step * small.shape[1]] = small.repeat(step, 0).repeat(step, 1)
     return mask
 
 
@@ -62,7 +68,7 @@ class _Ink(NamedTuple):
 
 def _ink_at_rest(small: LinearImage, closed: LinearImage) -> _Ink | None:
     """The ink of the dots in a shrunk picture of the untouched gel; None where it has no dots."""
-    dark = _darker(small, closed, np.float32(1 - _DARKER))
+    dark = _in_all_channels(small < np.float32(1 - _DARKER) * closed).astype(np.uint8)
     if not _FEWEST < dark.mean() < _MOST:
         return None
     areas = cv2.connectedComponentsWithStats(dark)[2][1:, cv2.CC_STAT_AREA]
@@ -74,7 +80,7 @@ def _dots(small: LinearImage, closed: LinearImage, ink: _Ink) -> ByteArray:
     """1 at the dots and their rims in a shrunk picture: as dark as ink, also on an object's dark flank."""
     found = np.zeros(small.shape[:2], np.bool_)
     for share in (np.float32(1 - _DARKER), ink.share):
-        dark = _darker(small, closed, share)
+        dark = _in_all_channels(small < share * closed).astype(np.uint8)
         if np.count_nonzero(dark) < _MOST * dark.size:
             _, labels, stats, _ = cv2.connectedComponentsWithStats(dark)
             usual = stats[:, cv2.CC_STAT_AREA] <= _LARGEST * ink.area_px
@@ -91,7 +97,7 @@ class DotFilter:
 
     def __init__(self, background: LinearImage) -> None:
         """background: the untouched gel, linear (h, w, 3)."""
-        self._small = _shrunk(background)
+        self._small = shrunk(background)
         self._bright = closed(self._small, window_of(self._small.shape))
         self._ink = _ink_at_rest(self._small, self._bright)
         self._found = np.zeros(self._small.shape[:2], np.uint8)
@@ -118,15 +124,15 @@ class DotFilter:
         A dot that came to a place made it darker in every channel. So only the box of what became darker is
         searched, and a dot's neighbourhood around it.
         """
-        moved = _shrunk(change)
+        moved = shrunk(change)
         height, width = moved.shape[:2]
         window = window_of(moved.shape)
-        top, bottom, left, right = _box_of_darker(moved, self._bright, np.float32(_DARKER / 2))
-        if bottom <= top:
+        rows, columns = box_of(_in_all_channels(moved < np.float32(-_DARKER / 2) * self._bright))
+        if rows.stop == 0:
             return unknown | self.dots
         box = (
-            slice(max(top - window, 0), min(bottom + window, height)),
-            slice(max(left - window, 0), min(right + window, width)),
+            slice(max(rows.start - window, 0), min(rows.stop + window, height)),
+            slice(max(columns.start - window, 0), min(columns.stop + window, width)),
         )
         frame = np.ascontiguousarray(moved[box] + self._small[box])
         found = self._found.copy()
@@ -134,67 +140,9 @@ class DotFilter:
         return unknown | _enlarged(found, unknown.shape)
 
 
-@njit
-def _take_means(image, step, small):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """Means over squares of `step` pixels, of all channels."""
-    wide = 3 * small.shape[1]
-    lines = np.empty(wide * step, np.float32)
-    share = np.float32(1.0 / (step * step))
-    for v in range(small.shape[0]):
-        lines[:] = np.float32(0)
-        for k in range(step):
-            line = image[v * step + k].reshape(-1)
-            for n in range(wide * step):
-                lines[n] += line[n]
-        for u in range(small.shape[1]):
-            for c in range(3):
-                total = np.float32(0)
-                for k in range(step):
-                    total += lines[(u * step + k) * 3 + c]
-                small[v, u, c] = total * share
-
-
-@njit
-def _repeat(small, step, mask):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """Every pixel of `small` as a square of `step` pixels of `mask`; the rest stays."""
-    for v in range(small.shape[0]):
-        first = mask[v * step]
-        for u in range(small.shape[1]):
-            if small[v, u]:
-                for k in range(step):
-                    first[u * step + k] = True
-        for k in range(1, step):
-            mask[v * step + k] = first
-
-
-@njit
-def _box_of_darker(change, bright, share):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """First and last row and column, the last exclusive, where all channels fell by a share of `bright`."""
-    height, width = change.shape[:2]
-    top, bottom, left, right = height, 0, width, 0
-    for v in range(height):
-        for u in range(width):
-            count = 0
-            for c in range(3):
-                count += change[v, u, c] < -share * bright[v, u, c]
-            if count == 3:
-                top, bottom = min(top, v), v + 1
-                left, right = min(left, u), max(right, u + 1)
-    return top, bottom, left, right
-
-
-@njit
-def _darker(small, closed, share):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """1 where all channels are below this share of their closing."""
-    height, width = small.shape[:2]
-    dark = np.zeros((height, width), np.uint8)
-    for v in range(height):
-        for u in range(width):
-            count = 0
-            for c in range(3):
-                count += small[v, u, c] < share * closed[v, u, c]
-            dark[v, u] = count == 3
-    return dark
+def _in_all_channels(holds: BoolArray) -> Mask:
+    """Where a condition (h, w, 3) holds in all channels, (h, w); numpy reduces a short axis much slower."""
+    return holds[..., 0] & holds[..., 1] & holds[..., 2]
 
 
 @njit

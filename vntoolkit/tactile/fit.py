@@ -255,10 +255,14 @@ def angle_of_one_matrix(
 ) -> float:
     """Median angle in degrees that one M leaves in the contacts: how linear the colours are."""
     pairs = pairs_from_samples(samples, offset_px, options).thinned(_PAIRS_OF_OFFSET)
+    return float(np.median(angles_deg(*_by_one_matrix(pairs, level, options))))
+
+
+def _by_one_matrix(pairs: PressPairs, level: Vector3, options: PressOptions) -> tuple[Points, Points]:
+    """Return the normals in the contacts, (n, 3), as one M finds them, and as they are."""
     response = _fit_matrix(pairs, level, options)
-    normals, rgb = pairs.normals[pairs.touched], pairs.rgb[pairs.touched]
-    found = normals_from_stereographic(first_estimate(rgb @ response.inverse.T))
-    return float(np.median(angles_deg(found, normals)))
+    scaled = pairs.rgb[pairs.touched] @ response.inverse.T
+    return normals_from_stereographic(first_estimate(scaled)), pairs.normals[pairs.touched]
 
 
 def largest_label_offset(samples: Iterable[PressSamples]) -> float:
@@ -271,24 +275,12 @@ def fit_label_offset(samples: list[PressSamples], level: Vector3, options: Press
 
     Fits M, moves the offset by what the median of the tilts left is on the ball, and repeats.
     """
-    thin = [
-        replace(
-            part,
-            rgb=part.rgb[::step],
-            untouched=part.untouched[::step],
-            positions_px=part.positions_px[::step],
-        )
-        for part in samples
-        for step in [max(1, len(samples) * len(part.rgb) // _PAIRS_OF_OFFSET)]
-    ]
     reach = largest_label_offset(samples)
     offset: FloatArray = np.zeros(2)
     for _ in range(_OFFSET_ROUNDS):
-        pairs = pairs_from_samples(thin, offset, options)
-        response = _fit_matrix(pairs, level, options)
-        normals, rgb = pairs.normals[pairs.touched], pairs.rgb[pairs.touched]
-        found = normals_from_stereographic(first_estimate(rgb @ response.inverse.T))
-        balls_px = np.array([part.ball_radius_mm for part in thin])[pairs.presses[pairs.touched]]
+        pairs = pairs_from_samples(samples, offset, options).thinned(_PAIRS_OF_OFFSET)
+        found, normals = _by_one_matrix(pairs, level, options)
+        balls_px = np.array([part.ball_radius_mm for part in samples])[pairs.presses[pairs.touched]]
         step = np.median((normals - found)[:, :2] * balls_px[:, None], axis=0) / options.side_mm
         offset = offset + step
         length = float(np.linalg.norm(offset))

@@ -202,16 +202,6 @@ class Membrane:
         moved = self._field_of_cells(motion, motion.rest_px).displacement_px
         return enlarged(moved, self.cells, self._rest.shape)
 
-    def field_at_rest(self, motion: MembraneMotion, positions_px: Points2) -> MotionField:
-        """Motion of the material that is at positions (k, 2) of the untouched gel."""
-        if not self.is_followable:
-            return _no_motion(len(positions_px))
-        places = motion.rest_px
-        weights = _weights(positions_px, places, self._reach_px)
-        sums = weights @ _terms(places, motion.displacement_px, self._reach_px)
-        moved, gradient = _affine_fit(sums, positions_px, self._reach_px)
-        return MotionField(moved, gradient, cKDTree(places).query(positions_px)[1])
-
     def field_in_frame(self, motion: MembraneMotion) -> MotionField:
         """Motion since rest of the material that is at the middles of the frame's `cells`."""
         return self._field_of_cells(motion, motion.rest_px + motion.displacement_px)

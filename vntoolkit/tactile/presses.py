@@ -1,4 +1,4 @@
-"""Presses of a ball into a gel: options, the ball's normals in a contact, and samples of normal and colour.
+"""Presses of a ball into a gel: samples of normal and colour.
 
 Inside the contact circle the gel is the ball's own surface; far from it the gel lies flat. In the crease
 between, its shape is not known, and no sample is taken.
@@ -61,25 +61,6 @@ class PressPairs:
         return PressPairs(**{name: values[::step] for name, values in vars(self).items()})
 
 
-def normals_of_press(
-    press: Press, options: PressOptions, shape: tuple[int, int], share: float = CONTACT_SHARE
-) -> tuple[Points, Mask]:
-    """Normals (h, w, 3), camera frame, and the mask of the contact. Raises where the contact is too wide."""
-    v, u = np.indices(shape)
-    offset_mm = np.stack([u - press.u_px, v - press.v_px], axis=-1) * options.side_mm
-    distance = np.linalg.norm(offset_mm, axis=-1)
-    contact_mm = press.radius_px * options.side_mm
-    if contact_mm >= options.ball_radius_mm:
-        raise BadCalibration(
-            f"calibrate presses: a contact circle of {contact_mm:.2f} mm is not narrower than the ball of "
-            f"{options.ball_radius_mm:g} mm radius; check --ball-radius-mm and --pixel-mm"
-        )
-    inside = distance < share * contact_mm
-    height = np.sqrt(np.maximum(options.ball_radius_mm**2 - distance**2, 0))
-    normals = np.concatenate([offset_mm, -height[..., None]], axis=-1) / options.ball_radius_mm
-    return normals, inside
-
-
 def samples_from_press(
     change: LinearImage,
     background: LinearImage,
@@ -96,7 +77,12 @@ def samples_from_press(
     shape = usable.shape
     require_shape(change, (*shape, 3), "change of colour")
     require_shape(background, (*shape, 3), "background")
-    normals_of_press(press, options, shape)  # refuses a contact that the ball cannot have
+    contact_mm = press.radius_px * options.side_mm
+    if contact_mm >= options.ball_radius_mm:
+        raise BadCalibration(
+            f"calibrate presses: a contact circle of {contact_mm:.2f} mm is not narrower than the ball of "
+            f"{options.ball_radius_mm:g} mm radius; check --ball-radius-mm and --pixel-mm"
+        )
     v, u = np.indices(shape)
     distance = np.hypot(u - press.u_px, v - press.v_px)
     contact = _draw((distance < _DRAWN_RADII * press.radius_px) & usable, 2 * _SAMPLES, rng)

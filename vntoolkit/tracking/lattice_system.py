@@ -1,4 +1,4 @@
-"""One least-squares problem on a lattice, factored for every frame by SciPy's SuperLU."""
+"""One least-squares problem on a lattice, factored for every frame."""
 
 from __future__ import annotations
 
@@ -7,22 +7,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import scipy.sparse as sp
-from scipy.sparse.linalg import splu
 
 from vntoolkit.arrays import FloatArray, IntArray
+from vntoolkit.geometry.mesh import factored
 from vntoolkit.tracking.factors import Factor
 
 _LEAST_INFORMATION = 1e-6  # 1/px²: holds pieces of which nothing is known
-
-
-def factored(matrix: sp.sparray) -> Any:
-    """Factor a symmetric matrix (n, n) without pivoting; all of its leading minors are regular."""
-    return splu(
-        sp.csc_array(matrix),
-        permc_spec="MMD_AT_PLUS_A",
-        diag_pivot_thresh=0.0,
-        options={"SymmetricMode": True},
-    )
 
 
 class LatticeSystem:

@@ -8,9 +8,8 @@ import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
 from vntoolkit.arrays import FloatArray, Points
-from vntoolkit.geometry.mesh import Mesh, graph_laplacian
+from vntoolkit.geometry.mesh import Mesh, factored, graph_laplacian
 from vntoolkit.libraries import import_open3d
-from vntoolkit.tracking.lattice_system import factored
 from vntoolkit.tracking.template import TrackingTemplate
 
 PAPERS_DATA_SHARE = 0.9  # α, of the translation method

@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from vntoolkit.arrays import BoolArray, ByteArray, FloatArray, IntArray, LinearImage, Points, read_only
 from vntoolkit.calibration.head.hull import SilhouetteView
 from vntoolkit.calibration.head.samples import HeadRays, sampled
-from vntoolkit.calibration.head.tracks import Tracks
+from vntoolkit.calibration.head.tracks import LEAST_FRAMES, Tracks
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.rays import RayScene
 
@@ -28,7 +28,6 @@ _LEAST_FACING = 0.4  # cosine to the viewer
 _NEAR = 0.01  # of the diagonal: how far a point may lie off the shape, and a patch's relief off its plane
 _LEAST_CORRELATION = 0.75
 _MOST_PX = 3.0  # off the expected place: poses are known better
-_LEAST_FRAMES = 4
 _STEPS, _CONVERGED_PX = 8, 0.01
 _LEAST_CORNER = 1e-4  # determinant over the squared trace: less is an edge, which slides
 _TINY = 1e-9
@@ -61,7 +60,7 @@ def find_again(
     facing = _facing(views, mesh, vertex, middle)
     place, correlation = _found_in_frames(views, details, patches, facing)
     found = correlation > _LEAST_CORRELATION
-    found &= found.sum(axis=0) >= _LEAST_FRAMES
+    found &= found.sum(axis=0) >= LEAST_FRAMES
     kept = np.flatnonzero(found.any(axis=0))
     point, frame = np.nonzero(found.T)
     tracks = Tracks(

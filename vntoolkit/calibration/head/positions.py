@@ -2,12 +2,12 @@
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.sparse.linalg import cg, splu
+from scipy.sparse.linalg import cg
 
 from vntoolkit.arrays import Faces, FloatArray, Points
 from vntoolkit.calibration.head.skin import SkinNormals
 from vntoolkit.errors import SolverFailed
-from vntoolkit.geometry.mesh import Mesh, edge_cotangents, face_normals, vertex_normals
+from vntoolkit.geometry.mesh import Mesh, edge_cotangents, face_normals, factored, vertex_normals
 
 LEAST_NOISE = 0.01  # rad, of a normal: what registration and the mesh's resolution leave
 UNKNOWN_NOISE = 0.2  # rad: of the mesh's own normals, where no light shows the skin's
@@ -117,13 +117,7 @@ class PositionSolver:
 
     def _solved_for_many(self, rights: FloatArray) -> FloatArray:
         """Solve for every column of (n, k): a factor costs what three loose solutions by iteration do."""
-        factor = splu(
-            sp.csc_array(self._system),
-            permc_spec="MMD_AT_PLUS_A",
-            diag_pivot_thresh=0.0,
-            options={"SymmetricMode": True},
-        )
-        return np.asarray(factor.solve(rights))
+        return np.asarray(factored(self._system).solve(rights))
 
     def _solved(self, right: FloatArray) -> FloatArray:
         """Solve by conjugate gradients: the anchors bound the condition number by (crossover / edge)²."""

@@ -10,12 +10,12 @@ from collections.abc import Iterable
 import cv2
 import numpy as np
 
-from vntoolkit.arrays import BoolArray, Faces, Float32Array, FloatArray, IntArray, Mask, Points, Vectors
+from vntoolkit.arrays import BoolArray, Float32Array, FloatArray, IntArray, Mask, Points, Vectors
 from vntoolkit.calibration.head.hull import signed_distance_px
 from vntoolkit.calibration.head.light import LEAST_COSINE
 from vntoolkit.calibration.head.samples import LightFrame, sampled
 from vntoolkit.geometry.camera import Camera
-from vntoolkit.geometry.mesh import Mesh
+from vntoolkit.geometry.mesh import Mesh, edges_from_faces
 from vntoolkit.photometry.response import LightResponse
 
 _REACH_PX = 4.0  # how far a contour may lie to both sides of the rim
@@ -37,7 +37,7 @@ def rim_targets(
     the rim, light ends before the surface does.
     """
     assert mesh.normals is not None
-    edges = _edges(mesh.faces)
+    edges = edges_from_faces(mesh.faces)
     rims = [_rims(mesh, edges, camera, each, response.light_directions) for each in frames]
     vertex, share, off, slope, unit = (np.concatenate(column) for column in zip(*rims, strict=True))
     count = len(mesh.vertices)
@@ -49,12 +49,6 @@ def rim_targets(
     weight = np.asarray(np.bincount(vertex, share / variance, count), np.float64)
     moved = np.bincount(vertex, share / variance * off * unit, count) / np.maximum(weight, _TINY)
     return mesh.vertices + moved[:, None] * mesh.normals, weight
-
-
-def _edges(faces: Faces) -> IntArray:
-    """Return every edge once, (e, 2)."""
-    ends = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    return np.asarray(np.unique(np.sort(ends, axis=1), axis=0))
 
 
 def _rims(

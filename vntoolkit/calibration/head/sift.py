@@ -12,7 +12,7 @@ import numpy as np
 from vntoolkit.arrays import ByteArray, Float64Array, FloatArray, IntArray, Mask, Points2
 from vntoolkit.calibration.head.colmap import camera_for_colmap, colmap_from_pixels, pixels_from_colmap
 from vntoolkit.calibration.head.silhouettes import box_of_mask
-from vntoolkit.calibration.head.tracks import Tracks, pairs_shared
+from vntoolkit.calibration.head.tracks import Tracks, shared_with_next
 from vntoolkit.errors import BadCalibration
 from vntoolkit.geometry.camera import Camera
 
@@ -78,7 +78,7 @@ class SiftBuilder:
 
 def require_features(tracks: Tracks) -> None:
     """Raise `BadCalibration` where neighbouring frames share too few features for poses."""
-    shared = pairs_shared(tracks, 1)
+    shared = shared_with_next(tracks)
     typical = int(np.median(shared)) if len(shared) else 0
     if typical < _LEAST_TYPICAL:
         raise BadCalibration(

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from scipy.ndimage import binary_fill_holes
 
 from vntoolkit.arrays import ByteArray, FloatArray, LinearImage, Mask
 from vntoolkit.errors import BadCalibration
@@ -68,7 +69,7 @@ def find_silhouette(rgb: LinearImage, threshold: float | None = None) -> Silhoue
         )
     areas = stats[1:, cv2.CC_STAT_AREA].astype(float)
     order = np.argsort(areas)[::-1]
-    region = _without_holes(labels == 1 + order[0])
+    region = binary_fill_holes(labels == 1 + order[0])
     mask = _moved_to_edge(region, grey, level, threshold)
     rival = float(areas[order[1]] / areas[order[0]]) if len(order) > 1 else 0.0
     edge = np.concatenate([bright[0], *(bright[: int(_UPPER * len(bright)), k] for k in (0, -1))])
@@ -158,19 +159,12 @@ def _moved_to_edge(mask: Mask, grey: FloatArray, level: float, threshold: float)
     count, labels, stats, _ = cv2.connectedComponentsWithStats(moved, connectivity=4)
     if count < 2:
         return mask
-    return _without_holes(labels == 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA])))
+    return binary_fill_holes(labels == 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA])))
 
 
 def _disc(radius_px: int) -> ByteArray:
     size = 2 * radius_px + 1
     return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)), np.uint8)
-
-
-def _without_holes(mask: Mask) -> Mask:
-    """Fill what the mask encloses; what opens to the image's edge stays open."""
-    padded = np.pad(mask.astype(np.uint8), 1)
-    cv2.floodFill(padded, None, (0, 0), 2)
-    return np.asarray(padded[1:-1, 1:-1] != 2)
 
 
 def _cut_share(mask: Mask) -> float:

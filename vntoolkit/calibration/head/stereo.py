@@ -18,7 +18,7 @@ from vntoolkit.options.head import HeadSteps
 
 # What wide windows and smooth depths flatten is alike in all views. Noise is not, and averages out over them.
 _STEP_PX = 0.6  # that a point moves in the furthest neighbour from shell to shell
-_LEAST_SLANT = 0.25  # cosine between ray and hull below which a window mixes too many depths
+_LEAST_FACING = 0.25  # cosine between ray and surface below which a window mixes too many depths
 
 
 def stereo_points(
@@ -43,7 +43,7 @@ def stereo_points(
     offset, correlation = _best_shell(scores, shells)
     valid = (
         (depth > 0)
-        & (facing > _LEAST_SLANT)
+        & (facing > _LEAST_FACING)
         & (correlation > steps.least_correlation)
         & np.isfinite(offset)
         & view.mask[rows, columns]
@@ -171,7 +171,6 @@ class OrientedPoints:
 # Points of the skin with normals, made from one view's depth map.
 
 
-_LEAST_FACING = 0.25  # cosine between ray and surface below which a depth says little
 _LONE_STEPS = 1.0  # from the median of its neighbours: further off, a depth is alone
 
 

@@ -12,7 +12,7 @@ from vntoolkit.options.head import HeadSteps
 
 _CORNER_QUALITY = 0.003  # the weakest corner as a share of the strongest
 _THERE_AND_BACK_PX = 0.5  # a point that is followed to the next frame and back lands within this, or is lost
-_LEAST_FRAMES = 4  # shorter tracks are dropped
+LEAST_FRAMES = 4  # shorter tracks are dropped
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -89,7 +89,7 @@ class TrackBuilder:
             frame_count=self._frame,
         )
         lengths = np.bincount(tracks.point, minlength=self._next_point)
-        return tracks.of_points(lengths >= _LEAST_FRAMES)
+        return tracks.of_points(lengths >= LEAST_FRAMES)
 
     def _allowed(self, mask: Mask) -> ByteArray:
         """Erode the silhouette, where texture is seen at a slant and its border moves; edges count too."""
@@ -142,7 +142,7 @@ _LEAST_FOLLOWED = 0.25  # of the usual number of points: fewer means a cut, even
 
 def require_tracks(tracks: Tracks) -> None:
     """Raise `BadCalibration` if the tracks end half-way or are too few."""
-    shared = pairs_shared(tracks, 1)
+    shared = shared_with_next(tracks)
     weakest = int(np.argmin(shared)) if len(shared) else 0
     if not len(shared) or np.median(shared) < 60:
         raise BadCalibration(
@@ -176,11 +176,11 @@ def _require_motion(tracks: Tracks) -> None:
         )
 
 
-def pairs_shared(tracks: Tracks, apart: int) -> IntArray:
-    """How many points frames k and k + apart share, (frame_count − apart,)."""
+def shared_with_next(tracks: Tracks) -> IntArray:
+    """How many points each frame shares with the next, (frame_count − 1,)."""
     key = tracks.point.astype(np.int64) * (tracks.frame_count + 1) + tracks.frame
-    both = np.isin(key + apart, key) & (tracks.frame + apart < tracks.frame_count)
-    return np.bincount(tracks.frame[both], minlength=tracks.frame_count)[: tracks.frame_count - apart]
+    both = np.isin(key + 1, key) & (tracks.frame + 1 < tracks.frame_count)
+    return np.bincount(tracks.frame[both], minlength=tracks.frame_count)[: tracks.frame_count - 1]
 
 
 # Local contrast: an image that keeps the texture of the skin and removes the moving shading.

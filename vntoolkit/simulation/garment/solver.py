@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 from vntoolkit.arrays import Faces, FloatArray, IntArray, Points, Points2, Vectors
 from vntoolkit.geometry.mesh import edges_from_faces
 from vntoolkit.native import njit
+from vntoolkit.simulation.lights import FRAME_RATE_HZ
 
 FRONT, BACK = 0, 1
 _GRAVITY = 9.81
@@ -92,12 +93,11 @@ class ClothSolver:
         garment: Garment,
         body: Capsules,
         thickness_m: float = THICKNESS_M,
-        frame_rate_hz: float = 60.0,
     ) -> None:
         self.thickness_m = thickness_m
         self.positions = _drawn_over(garment, body, _BODY_MARGIN_M)
         self.velocities = np.zeros_like(self.positions)
-        self.step_s = 1.0 / (frame_rate_hz * _STEPS_PER_FRAME)
+        self.step_s = 1.0 / (FRAME_RATE_HZ * _STEPS_PER_FRAME)
         count = len(garment.flat)
         area = 0.5 * np.abs(_doubled_areas(garment)).sum()
         self.inverse_mass = count / (_DENSITY * area)

@@ -15,7 +15,7 @@ from vntoolkit.arrays import Faces, FloatArray, IntArray, Points, Points2
 from vntoolkit.geometry.mesh import vertex_normals
 from vntoolkit.options.simulation import SceneOptions
 from vntoolkit.simulation.garment.solver import THICKNESS_M, Capsules, ClothSolver, Garment
-from vntoolkit.simulation.lights import studio_camera, studio_centre, studio_lights
+from vntoolkit.simulation.lights import FRAME_RATE_HZ, studio_camera, studio_centre
 from vntoolkit.simulation.scene import Detail, Scene, SceneSurface
 from vntoolkit.simulation.shapes import read_shape, smooth_step
 
@@ -99,8 +99,7 @@ def _dancing(
     )
     return Scene(
         name=name,
-        camera=studio_camera(options.width, options.height, options.field_width_m or _FIELD_WIDTH_M),
-        lights=studio_lights(),
+        camera=studio_camera(options, _FIELD_WIDTH_M),
         surface=surface,
         vertices=_refined(garment, refine, faces, relief),
         frame_count=_FRAMES,
@@ -185,7 +184,7 @@ class DancingGarment:
     def body(self, frame: int) -> Capsules:
         """Return the dancer's body; before frame 0 it fades in from the rest pose."""
         fade = float(smooth_step((frame + _FADE_FRAMES) / _FADE_FRAMES))
-        return body_from_pose(pose_at(frame / 60.0, self._phases, fade))
+        return body_from_pose(pose_at(frame / FRAME_RATE_HZ, self._phases, fade))
 
     def cage(self, frame: int) -> Points:
         """Return (n, 3) the garment's vertices, studio frame of the body, metres."""

@@ -18,7 +18,7 @@ from vntoolkit.simulation.head.rig import (
     read_head,
     turning_pose,
 )
-from vntoolkit.simulation.lights import studio_camera, studio_centre, studio_lights
+from vntoolkit.simulation.lights import FRAME_RATE_HZ, studio_camera, studio_centre
 from vntoolkit.simulation.scene import Detail, Scene, SceneSurface
 from vntoolkit.simulation.shapes import smooth_step
 
@@ -68,7 +68,7 @@ def _performing(name: str, options: SceneOptions, makeup: "Makeup") -> Scene:
     phases = np.random.default_rng(options.seed).uniform(0.0, 2.0 * np.pi, 8)
 
     def vertices(frame: int) -> Points:
-        time_s = frame / 60.0
+        time_s = frame / FRAME_RATE_HZ
         return head.vertices(performance_at(time_s, phases), performance_pose(time_s, phases))
 
     return _scene(name, options, makeup, vertices, _FACE_FRAMES, _FACE_FIELD_WIDTH_M, _FACE_MIDDLE_CM)
@@ -98,8 +98,7 @@ def _scene(
     )
     return Scene(
         name=name,
-        camera=studio_camera(options.width, options.height, options.field_width_m or field_width_m),
-        lights=studio_lights(),
+        camera=studio_camera(options, field_width_m),
         surface=surface,
         vertices=lambda frame: 0.01 * (vertices_cm(frame) - middle_cm) * [1.0, -1.0, -1.0] + studio_centre(),
         frame_count=frame_count,

@@ -11,7 +11,7 @@ from vntoolkit.geometry.board_layout import MARKER_DICTIONARY, BoardLayout
 from vntoolkit.geometry.rigid import RigidTransform
 from vntoolkit.options.simulation import SceneOptions
 from vntoolkit.simulation.grids import closed_columns, grid_faces, grid_uv
-from vntoolkit.simulation.lights import studio_camera, studio_centre, studio_lights
+from vntoolkit.simulation.lights import FRAME_RATE_HZ, studio_camera, studio_centre
 from vntoolkit.simulation.relief import paper_fibres, plain_weave, tiling_noise
 from vntoolkit.simulation.scene import Detail, Scene, SceneSurface, sample_weights
 
@@ -89,8 +89,7 @@ def _board_scene(
     rest, surface = board_mesh(layout, scale, sample_weights(options, sample))
     return Scene(
         name=name,
-        camera=studio_camera(options.width, options.height, field_width_m=field_width_m),
-        lights=studio_lights(),
+        camera=studio_camera(options, field_width_m),
         surface=surface,
         vertices=lambda frame: sway.camera_from_object(frame).apply(rest),
         frame_count=FRAME_COUNT,
@@ -202,10 +201,7 @@ def build_cylinder(options: SceneOptions) -> Scene:
     )
     return Scene(
         name="cylinder",
-        camera=studio_camera(
-            options.width, options.height, field_width_m=options.field_width_m or CYLINDER_FIELD_WIDTH_M
-        ),
-        lights=studio_lights(),
+        camera=studio_camera(options, CYLINDER_FIELD_WIDTH_M),
         surface=SceneSurface(
             faces=faces,
             reference_weights=_WRAPPING_PAPER,
@@ -276,12 +272,11 @@ class Sway:
     shifts_m: tuple[float, float, float]
     periods_s: tuple[float, ...]
     phases: Vector3
-    frame_rate_hz: float = 60.0
     rest: RigidTransform = RigidTransform()  # noqa: RUF009  frozen, hence safe to share
 
     def camera_from_object(self, frame: int) -> RigidTransform:
         """Return the pose of a frame; the object's origin stays near the studio's centre."""
-        time_s = frame / self.frame_rate_hz
+        time_s = frame / FRAME_RATE_HZ
         waves = np.sin(2 * np.pi * time_s / np.array(self.periods_s) + self.phases)
         rotation = Rotation.from_euler("xyz", waves[:3] * np.array(self.turns_deg), degrees=True)
         shift = studio_centre() + waves[3:] * np.array(self.shifts_m)

@@ -12,6 +12,7 @@ from vntoolkit.geometry.camera import Camera
 from vntoolkit.options.simulation import SceneOptions
 from vntoolkit.simulation.grids import grid_faces, grid_uv
 from vntoolkit.simulation.lights import Lights, coloured_lamps, room_glow
+from vntoolkit.simulation.rigid.sphere import PAINT
 from vntoolkit.simulation.scene import Scene, SceneSurface
 
 BALL_RADIUS_M = 2.4e-3
@@ -20,7 +21,6 @@ _FIELD_WIDTH_M = 16e-3
 _CAMERA_DISTANCE_M = 0.04
 _LAMPS_M = 0.018  # of each from the axis, and as far towards the camera: near, at 45 degrees
 _AZIMUTHS_DEG = (180.0, 60.0, 300.0)
-_AMBIENT_LEVEL = 0.02
 _EXPOSURE = 0.5  # near the lamps the gel is brighter than in the middle, and must not clip
 _CELLS = 260  # across the gel: of 0.08 mm
 _MARGIN = 1.3  # of the gel over the field
@@ -28,7 +28,6 @@ _CONTACTS = (0.45, 0.65)  # radius of the contact over the ball's
 _DOTS_APART_M, _DOT_M = 1.6e-3, 0.36e-3
 _DOT_REFLECTS = 0.3  # of what the gel does
 _DOT_TEXELS = 32
-_PAINT = (0.62, 0.60, 0.58)  # a nearly neutral matte grey
 
 
 def build_gel(options: SceneOptions) -> Scene:
@@ -58,8 +57,8 @@ def build_gel(options: SceneOptions) -> Scene:
         lights=_lamps(),
         surface=SceneSurface(
             faces=grid_faces(np.arange(count).reshape(rows, columns)),
-            reference_weights=np.array(_PAINT),
-            texture=_dot()[..., None] * np.array(_PAINT),
+            reference_weights=np.array(PAINT),
+            texture=_dot()[..., None] * np.array(PAINT),
             uv=grid_uv(rows, columns) * size_m / _DOTS_APART_M,
         ),
         vertices=vertices,
@@ -98,7 +97,7 @@ def _lamps() -> Lights:
     around = np.deg2rad(_AZIMUTHS_DEG)
     across = _LAMPS_M * np.stack([np.cos(around), np.sin(around)], axis=-1)
     positions = np.column_stack([across, np.full(3, _CAMERA_DISTANCE_M - _LAMPS_M)])
-    return Lights(positions=positions, spectra=coloured_lamps(), ambient_spectrum=room_glow(_AMBIENT_LEVEL))
+    return Lights(positions=positions, spectra=coloured_lamps(), ambient_spectrum=room_glow())
 
 
 def _dot() -> FloatArray:

@@ -1,6 +1,6 @@
 """A cotton jacket that stands still (Figure 6): folds, pockets, buttons, seams, ribbed hem and cuffs."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
@@ -10,7 +10,7 @@ from vntoolkit.geometry.mesh import vertex_normals
 from vntoolkit.geometry.rigid import RigidTransform
 from vntoolkit.options.simulation import SceneOptions
 from vntoolkit.simulation.grids import closed_columns, grid_faces, grid_uv
-from vntoolkit.simulation.lights import studio_camera, studio_centre, studio_lights
+from vntoolkit.simulation.lights import studio_camera, studio_centre
 from vntoolkit.simulation.relief import twill_weave
 from vntoolkit.simulation.scene import Detail, Scene, SceneSurface
 
@@ -36,8 +36,7 @@ def build_jacket(options: SceneOptions) -> Scene:
     standing = pose.apply(vertices)
     return Scene(
         name="jacket",
-        camera=studio_camera(options.width, options.height, field_width_m=options.field_width_m or 1.05),
-        lights=studio_lights(),
+        camera=studio_camera(options, field_width_m=1.05),
         surface=surface,
         vertices=lambda _frame: standing,
         frame_count=1,
@@ -47,10 +46,10 @@ def build_jacket(options: SceneOptions) -> Scene:
 
 def _joined(parts: "list[Part]") -> tuple[Points, SceneSurface]:
     """Return all vertices and one surface; the parts' texture coordinates become tiles of the weave."""
-    starts = np.cumsum([0] + [len(part.vertices) for part in parts])
-    faces = [part.faces + start for part, start in zip(parts, starts, strict=False)]
-    tile_m = _THREADS * _THREAD_M
-    uv = [(part.uv * np.array([round(part.girth / tile_m), part.length / tile_m])) for part in parts]
+    tubes, tile_m = [part.tube for part in parts], _THREADS * _THREAD_M
+    starts = np.cumsum([0] + [len(tube.vertices) for tube in tubes])
+    faces = [tube.faces + start for tube, start in zip(tubes, starts, strict=False)]
+    uv = [tube.uv * np.array([round(tube.girth / tile_m), tube.length / tile_m]) for tube in tubes]
     weights = np.concatenate([part.shade for part in parts])[:, None] * _COTTON
     surface = SceneSurface(
         faces=np.concatenate(faces),
@@ -62,21 +61,16 @@ def _joined(parts: "list[Part]") -> tuple[Points, SceneSurface]:
             strength=np.concatenate([part.weave for part in parts]),
         ),
     )
-    return np.concatenate([part.vertices for part in parts]), surface
+    return np.concatenate([tube.vertices for tube in tubes]), surface
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Part:
-    """One part, relief included; arrays as in `Tube`.
-
-    shade: (n,) reflectance relative to the cloth. weave: (n,) strength of the weave's relief.
+    """One part. tube: relief included. shade: (n,) reflectance relative to the cloth. weave: (n,) strength of
+    the weave's relief.
     """
 
-    vertices: Points
-    faces: Faces
-    uv: FloatArray
-    girth: float
-    length: float
+    tube: "Tube"
     shade: FloatArray
     weave: FloatArray
 
@@ -117,7 +111,7 @@ def torso(generator: np.random.Generator) -> Part:
     buttons = _buttons(s, y)
     height += pockets - 0.0011 * np.maximum(seams, pocket_seams) + 0.003 * buttons
     shade = 1.0 + 0.06 * np.maximum(seams, pocket_seams) - (1.0 - _BUTTON_SHADE) * buttons
-    return _part(tube, height, shade, weave=(1.0 - buttons) * (1.0 - 0.7 * ribbed))
+    return Part(tube=tube.raised(height), shade=shade, weave=(1.0 - buttons) * (1.0 - 0.7 * ribbed))
 
 
 def sleeve(side: int, generator: np.random.Generator) -> Part:
@@ -151,7 +145,7 @@ def sleeve(side: int, generator: np.random.Generator) -> Part:
     cuff = step(t - (tube.length - 0.052), 0.002)
     height = sum_of_folds(s, t, folds) * (1.0 - cuff)
     height += cuff * 0.0010 * np.cos(2 * np.pi * s / (tube.girth / 48))
-    return _part(tube, height, np.ones_like(s), weave=1.0 - 0.7 * cuff)
+    return Part(tube=tube.raised(height), shade=np.ones_like(s), weave=1.0 - 0.7 * cuff)
 
 
 def collar(generator: np.random.Generator) -> Part:
@@ -175,17 +169,8 @@ def collar(generator: np.random.Generator) -> Part:
     uv = tube.uv[~bare[tube.faces].any(axis=1)]
     stitches = leaf * groove(tube.length - tube.t - 0.006)
     waves = 0.0012 * np.sin(3.0 * angle + generator.uniform(0, 2 * np.pi)) * leaf
-    shaped = Tube(
-        vertices=vertices, faces=faces, uv=uv, s=tube.s, t=tube.t, girth=tube.girth, length=tube.length
-    )
-    return _part(shaped, waves - 0.0008 * stitches, 1.0 + 0.06 * stitches, weave=np.ones_like(leaf))
-
-
-def _part(tube: "Tube", height: FloatArray, shade: FloatArray, weave: FloatArray) -> Part:
-    return Part(
-        vertices=tube.raised(height), faces=tube.faces, uv=tube.uv, girth=tube.girth, length=tube.length,
-        shade=shade, weave=weave,
-    )  # fmt: skip
+    shaped = replace(tube, vertices=vertices, faces=faces, uv=uv).raised(waves - 0.0008 * stitches)
+    return Part(tube=shaped, shade=1.0 + 0.06 * stitches, weave=np.ones_like(leaf))
 
 
 def _mirrored_folds(generator: np.random.Generator, *, s_at: float, t_at: float, count: int) -> "list[Fold]":
@@ -308,7 +293,7 @@ def step(distance: FloatArray, width: float) -> FloatArray:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Tube:
-    """A tube before its relief.
+    """A tube of cloth.
 
     vertices: (n, 3), row by row, from the first ring down. faces: (m, 3). uv: (m, 3, 2), u round, v along.
     s: (n,) metres round the tube from its front line, −half to half; t: (n,) metres along it.
@@ -323,9 +308,10 @@ class Tube:
     girth: float
     length: float
 
-    def raised(self, height: FloatArray) -> Points:
-        """Return the vertices moved outwards by `height` (n,)."""
-        return self.vertices + height[:, None] * vertex_normals(self.vertices, self.faces)
+    def raised(self, height: FloatArray) -> "Tube":
+        """Return the tube with its vertices moved outwards by `height` (n,)."""
+        normals = vertex_normals(self.vertices, self.faces)
+        return replace(self, vertices=self.vertices + height[:, None] * normals)
 
 
 # Tubes of cloth about a centre line; cloth coordinates in metres, relief along the normal.

@@ -6,12 +6,12 @@ from vntoolkit.arrays import Faces, Points
 from vntoolkit.geometry.rigid import RigidTransform
 from vntoolkit.options.simulation import SceneOptions
 from vntoolkit.simulation.grids import closed_columns, grid_faces
-from vntoolkit.simulation.lights import studio_camera, studio_centre, studio_lights
+from vntoolkit.simulation.lights import studio_camera, studio_centre
 from vntoolkit.simulation.scene import Scene, SceneSurface
 
 RADIUS_M = 0.3
 _RINGS, _SEGMENTS = 240, 480
-_PAINT = (0.62, 0.60, 0.58)  # a nearly neutral matte grey
+PAINT = (0.62, 0.60, 0.58)  # a nearly neutral matte grey
 
 
 def build_sphere(options: SceneOptions) -> Scene:
@@ -25,9 +25,8 @@ def build_sphere(options: SceneOptions) -> Scene:
 
     return Scene(
         name="sphere",
-        camera=studio_camera(options.width, options.height, field_width_m=options.field_width_m or 1.0),
-        lights=studio_lights(),
-        surface=SceneSurface(faces=faces, reference_weights=np.array(_PAINT), vertex_weights=_even(ball)),
+        camera=studio_camera(options, field_width_m=1.0),
+        surface=SceneSurface(faces=faces, reference_weights=np.array(PAINT)),
         vertices=lambda frame: pose(frame).apply(ball),
         frame_count=60,
         camera_from_object=pose,
@@ -52,7 +51,3 @@ def ball_mesh(radius_m: float, rings: int, segments: int) -> tuple[Points, Faces
     ]
     faces = np.concatenate([grid_faces(closed_columns(rings - 1, segments)), *caps])
     return vertices, faces.astype(np.int32)
-
-
-def _even(vertices: Points) -> Points:
-    return np.tile(np.array(_PAINT), (len(vertices), 1))
