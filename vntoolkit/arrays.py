@@ -50,9 +50,14 @@ def read_only(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
     return view
 
 
-def box_of(mask: Mask) -> Box:
-    """Return the rows and the columns that a mask reaches over; nothing where it is empty."""
-    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
-    if not len(rows):
-        return slice(0, 0), slice(0, 0)
-    return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
+def box_of(mask: Mask, margin_px: int = 0) -> Box:
+    """Return the rows and the columns that a mask reaches over, and a margin of the image around them.
+
+    Of an empty mask the margin's pixels at the image's corner.
+    """
+    sides = []
+    for axis, length in enumerate(mask.shape):
+        used = np.flatnonzero(mask.any(axis=1 - axis))
+        first, end = (int(used[0]), int(used[-1]) + 1) if len(used) else (0, 0)
+        sides.append(slice(max(0, first - margin_px), min(length, end + margin_px)))
+    return sides[0], sides[1]

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from vntoolkit.arrays import ByteArray, FloatArray, LinearImage, Mask, VisibilityLabels
+from vntoolkit.arrays import ByteArray, FloatArray, LinearImage, Mask, VisibilityLabels, box_of
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, NormalMap
@@ -188,12 +188,8 @@ def normals_from_depth(depth_map: DepthMap, camera: Camera) -> FloatArray:
 
 def cropped(pictures: list[Picture], mask: Mask, margin_px: int = 6) -> list[Picture]:
     """Cut pictures of one size to the box around a mask, the same for all."""
-    if not mask.any():
-        return pictures
-    v, u = np.nonzero(mask)
-    rows = slice(max(0, v.min() - margin_px), v.max() + 1 + margin_px)
-    columns = slice(max(0, u.min() - margin_px), u.max() + 1 + margin_px)
-    return [picture[rows, columns] for picture in pictures]
+    box = box_of(mask, margin_px)
+    return [picture[box] for picture in pictures] if mask.any() else pictures
 
 
 _PAGE_PX = 1060  # where a page shows a picture of this width, letters have their size as written

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy.fft
 
-from vntoolkit.arrays import Flow, Mask, Points, Points2
+from vntoolkit.arrays import Flow, Mask, Points, Points2, box_of
 from vntoolkit.checks import require_same_size
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, NormalMap
@@ -61,7 +61,7 @@ def bytes_from_normals(normal_map: NormalMap) -> ReliefBytes:
     a knit. On the simulated sweater this halves the error of 30 chained frames.
     """
     bytes_ = np.full((*normal_map.shape, 3), 128, dtype=np.uint8)
-    box = _box(normal_map.mask, _RELIEF_SIGMA_PX)
+    box = box_of(normal_map.mask, int(5 * _RELIEF_SIGMA_PX))  # a Gaussian reaches no farther
     mask = normal_map.mask[box]
     weight = mask.astype(np.float32)
     normals = normal_map.normals_in_camera[box] * weight[..., None]
@@ -110,7 +110,7 @@ def _shift_of_best_correlation(
     0 where the correlation is less than `sure` standard deviations over all shifts of the picture: it may be
     chance. Only what is not 0 is transformed, since the rest correlates with nothing.
     """
-    first_box, second_box = (_box(np.any(each, axis=-1), 0.0) for each in (before, after))
+    first_box, second_box = (box_of(np.any(each, axis=-1), 1) for each in (before, after))
     sides = np.add(before[first_box].shape[:2], after[second_box].shape[:2])
     size = [scipy.fft.next_fast_len(int(side), real=True) for side in sides]  # nothing wraps around
     first, second = (
@@ -255,14 +255,3 @@ def _interpolated(vectors: Flow, weights: npt.NDArray[np.float32]) -> npt.NDArra
     total[..., :2] += 1e-12 * stacked[..., :2].sum(axis=(0, 1))
     total[..., 2] += 1e-12 * stacked[..., 2].sum()
     return np.asarray(total[..., :2] / np.maximum(total[..., 2:], 1e-30), dtype=np.float32)
-
-
-def _box(mask: Mask, sigma_px: float) -> tuple[slice, slice]:
-    """Rows and columns of the mask and of what a Gaussian reaches around it: elsewhere there is nothing."""
-    reach = int(5 * sigma_px)
-    sides = []
-    for axis, length in enumerate(mask.shape):
-        used = np.flatnonzero(mask.any(axis=1 - axis))
-        first, last = (used[0], used[-1]) if used.size else (0, 0)
-        sides.append(slice(max(0, int(first) - reach), min(length, int(last) + 1 + reach)))
-    return sides[0], sides[1]

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from vntoolkit.arrays import FloatArray, Mask, Points2
+from vntoolkit.arrays import FloatArray, Mask, Points2, box_of
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap
 from vntoolkit.native import njit
@@ -29,6 +29,8 @@ _SIGMA_PX = 0.3  # of the outline along one cell: pixels are whole
 # falls to 0 at a contour, in proportion to the distance: it is measured in two boxes and extrapolated.
 _OPEN_FACING = (0.35, 0.6)
 _BOXES_PX = (7, 15)
+# Around the figure: no mean, and no step across a contour that touches it, reaches beyond.
+_MARGIN_PX = _BOXES_PX[-1]
 _PER_BOX = np.float32(_BOXES_PX[0] / (_BOXES_PX[1] - _BOXES_PX[0]))
 _HALF_OPEN = 0.5
 _BAND_PX = 2.0  # of vertices that are the border
@@ -127,7 +129,7 @@ def outline_of_silhouette(mask: Mask, slopes: Slopes) -> npt.NDArray[np.float32]
     length = np.maximum(np.hypot(right, down), np.float32(1e-6))
     smooth = cv2.GaussianBlur(distance, (0, 0), 1.0)
     silhouette = cv2.merge([smooth, right / length, down / length, np.zeros_like(smooth)])
-    box = _around(mask)
+    box = box_of(mask, _MARGIN_PX)
     silhouette[(*box, 3)] = _openness(slopes[box])
     return np.asarray(silhouette, np.float32)
 
@@ -157,7 +159,7 @@ def signed_distance(mask: Mask) -> npt.NDArray[np.float32]:
     if filled.all():
         return np.full(mask.shape, -1e3, dtype=np.float32)
     distance = np.asarray(cv2.distanceTransform(1 - filled, cv2.DIST_L2, 5), np.float32) - np.float32(0.5)
-    box = _around(mask)
+    box = box_of(mask, _MARGIN_PX)
     inside = cv2.distanceTransform(filled[box], cv2.DIST_L2, 5)
     distance[box] = np.where(filled[box], np.float32(0.5) - inside, distance[box])
     return distance
@@ -167,7 +169,7 @@ def _without_gaps(mask: Mask) -> Mask:
     """Fill holes, which may be something dark that passes before the figure, and narrow gaps."""
     if not mask.any():
         return mask
-    box = _around(mask)
+    box = box_of(mask, _MARGIN_PX)
     grow, shrink = (np.ones((n, n), np.uint8) for n in (_NARROW_GAP_PX, _NARROW_GAP_PX + 2 * _UNFILLED_PX))
     deep = cv2.erode(cv2.dilate(mask[box].astype(np.uint8), grow), shrink) > 0
     filled = mask.copy()
@@ -175,28 +177,12 @@ def _without_gaps(mask: Mask) -> Mask:
     return filled
 
 
-def _around(mask: Mask) -> tuple[slice, slice]:
-    """Return the box of the figure with a margin; of an empty mask, one pixel.
-
-    No box of means and no step across a contour that touches the figure reaches beyond.
-    """
-    margin = _BOXES_PX[-1]
-    rows, columns = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
-    if not len(rows):
-        return slice(1), slice(1)
-    low, high = (rows[0], columns[0]), (rows[-1], columns[-1])
-    row, column = (
-        slice(max(0, int(a) - margin), int(b) + 1 + margin) for a, b in zip(low, high, strict=True)
-    )
-    return row, column
-
-
 def occluding_contours(slopes: Slopes, mask: Mask) -> Mask:
     """Return (h, w) True within reach of an occluding contour.
 
     A faint one counts where it prolongs a sure one.
     """
-    contours, box = np.zeros_like(mask), _around(mask)
+    contours, box = np.zeros_like(mask), box_of(mask, _MARGIN_PX)
     faint, sure = _receding(slopes[box], mask[box])
     if not sure.any():
         return contours
