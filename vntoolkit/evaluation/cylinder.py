@@ -7,10 +7,10 @@ from scipy import ndimage
 
 from vntoolkit.arrays import FloatArray, LinearImage, Mask, Points2, Vector3
 from vntoolkit.errors import BadInput
-from vntoolkit.evaluation.angular_error import angles_between_deg
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.geometry.rays import pixel_rays
+from vntoolkit.photometry.fit_quality import angles_deg
 from vntoolkit.spread import robust_deviation
 
 _FEWEST_PIXELS = 200
@@ -88,7 +88,7 @@ def side_angles(cylinder: Cylinder, normal_map: NormalMap, camera: Camera, name:
     """
     met = intersect(cylinder, *pixel_rays(camera, camera.pixel_grid()))
     seen = normal_map.mask & met.hit
-    angles = np.where(seen, angles_between_deg(normal_map.normals_in_camera, met.normals), 0.0)
+    angles = np.where(seen, angles_deg(normal_map.normals_in_camera, met.normals), 0.0)
     low, high = _extent(met.along[seen], angles[seen] < _SIDE_DEG)
     side = seen & (met.along >= low) & (met.along <= high)
     count = int(np.count_nonzero(side))
@@ -101,8 +101,7 @@ def side_angles(cylinder: Cylinder, normal_map: NormalMap, camera: Camera, name:
 
 def axis_error_deg(cylinder: Cylinder, axis: Vector3) -> float:
     """Angle in degrees between the fitted and the true axis, whichever way round."""
-    unit = axis / np.linalg.norm(axis)
-    return float(min(angles_between_deg(cylinder.axis, unit), angles_between_deg(cylinder.axis, -unit)))
+    return float(min(angles_deg(cylinder.axis, axis), angles_deg(cylinder.axis, -axis)))
 
 
 def radius_from_distance(cylinder: Cylinder, camera: Camera, point: Vector3) -> float:
