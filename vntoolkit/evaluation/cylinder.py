@@ -72,16 +72,10 @@ def plane_cross(first: FloatArray, second: FloatArray) -> FloatArray:
     return first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class SideAngles:
-    """Angles in degrees (h, w) between measured normals and the cylinder's, and where its side is seen."""
-
-    angles_deg: FloatArray
-    side: Mask
-
-
-def side_angles(cylinder: Cylinder, normal_map: NormalMap, camera: Camera, name: str = "frame") -> SideAngles:
-    """Measure the normals of the cylinder's side.
+def side_angles(
+    cylinder: Cylinder, normal_map: NormalMap, camera: Camera, name: str = "frame"
+) -> tuple[FloatArray, Mask]:
+    """Return the angles in degrees (h, w) to the cylinder's normals, and where its side is seen.
 
     The ends' discs are left out by where they lie along the axis, not pixel by pixel, so that bad normals on
     the side still count. Raises `BadInput` where too little of the side is seen.
@@ -96,7 +90,7 @@ def side_angles(cylinder: Cylinder, normal_map: NormalMap, camera: Camera, name:
         raise BadInput(
             f"cylinder: {name} shows {count} valid pixels of the side, at least {_FEWEST_PIXELS} are needed"
         )
-    return SideAngles(angles_deg=np.where(side, angles, 0.0), side=side)
+    return np.where(side, angles, 0.0), side
 
 
 def axis_error_deg(cylinder: Cylinder, axis: Vector3) -> float:

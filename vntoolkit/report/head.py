@@ -167,7 +167,7 @@ def _light_section(frames: list[_ShownFrame], rig: Rig, result: HeadCalibration)
             page.PageTable(
                 headings=("", "towards x, y, z", "off the axis", "about it, 0 right, 90 up"), rows=rows
             ),
-            page.PageTable(headings=("M", "n_x", "n_y", "n_z"), rows=matrix, numeric=True),
+            page.PageTable(headings=("M", "n_x", "n_y", "n_z"), rows=matrix, right=(1, 2, 3)),
         ),
     )
 
@@ -177,7 +177,7 @@ def _times_section(rig: Rig, result: HeadCalibration) -> page.PageSection:
     return page.PageSection(
         title="Time and sources",
         tables=(
-            page.PageTable(headings=("stage", "time"), rows=times, numeric=True),
+            page.PageTable(headings=("stage", "time"), rows=times, right=(1,)),
             page.table_of_sources("file", rig),
         ),
     )

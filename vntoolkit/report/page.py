@@ -45,15 +45,13 @@ class PageFigure:
 
 @dataclass(frozen=True, kw_only=True)
 class PageTable:
-    """Rows of text under headings. numeric: cells from the second column on are set to the right.
+    """Rows of text under headings. right: places of the columns that are set to the right.
 
-    folded: shown only when this line is clicked; empty for shown at once. right: places of the columns that
-    are set to the right where not all of them are.
+    folded: shown only when this line is clicked; empty for shown at once.
     """
 
     headings: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
-    numeric: bool = False
     folded: str = ""
     right: tuple[int, ...] = ()
 

@@ -152,8 +152,8 @@ def _table(frames: Sequence[truth_comparison.FrameComparison]) -> page.PageTable
             "% of diagonal",
         ),
         rows=tuple(rows),
-        numeric=True,
         folded="every frame",
+        right=tuple(range(1, 8)),
     )
 
 
