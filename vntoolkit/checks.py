@@ -6,12 +6,12 @@ import inspect
 import math
 import types
 import typing
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
 
-from vntoolkit.arrays import Array, BoolArray
+from vntoolkit.arrays import Array, BoolArray, DTypeLike, read_only
 from vntoolkit.errors import BadInput
 
 _PACKAGE = "vntoolkit."
@@ -38,6 +38,28 @@ def require_shape(
         want = " × ".join("any" if n is None else str(n) for n in shape)
         have = " × ".join(map(str, array.shape)) or "a scalar"
         raise error(f"{name}: expected shape {want}, got {have}")
+
+
+def set_arrays(
+    holder: object,
+    shapes: Mapping[str, tuple[int | None, ...]],
+    *,
+    called: str = "{}",
+    dtype: DTypeLike | None = None,
+    error: type[BadInput] = BadInput,
+) -> None:
+    """Check that arrays of a frozen object are finite and of their shape, and make its fields read-only.
+
+    shapes: by field; one that is None stays. called: what a message calls a field. dtype: of the copies that
+    are kept; None for the arrays themselves.
+    """
+    for name, shape in shapes.items():
+        given = getattr(holder, name)
+        if given is not None:
+            array = np.asarray(given) if dtype is None else np.array(given, dtype)
+            require_shape(array, shape, called.format(name), error)
+            require_finite(array, called.format(name), error)
+            object.__setattr__(holder, name, read_only(array))
 
 
 def require_mask(mask: Array, shape: tuple[int, ...]) -> None:
