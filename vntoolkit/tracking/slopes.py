@@ -101,8 +101,23 @@ def metric_sums(
 
     G is in pixels, unit where the surface faces the axis at the distance that the scale (n,) is 1 for.
     """
-    positions = np.ascontiguousarray(positions_px, dtype=np.float64)
-    return _metric_sums(slopes, positions, scale, node, count, _ray_terms(camera))
+    h, w = slopes.shape[:2]
+    p, q, weight = sample_image(slopes, positions_px).T
+    p, q = p / np.maximum(weight, 0.02), q / np.maximum(weight, 0.02)
+    u, v = np.clip(positions_px, 0.0, (w - 1.0, h - 1.0)).T
+    per_u, per_v, centre_u, centre_v = _ray_terms(camera)
+    x, y = (u - centre_u) * per_u, (v - centre_v) * per_v
+    square = 1.0 + x * x + y * y
+    share = weight * scale**2
+    terms = (
+        share * (1.0 + 2.0 * p * x + p * p * square),
+        share * (p * y + q * x + p * q * square),
+        share * (1.0 + 2.0 * q * y + q * q * square),
+        weight * p,
+        weight * q,
+        weight,
+    )
+    return np.stack([np.bincount(node, term, count) for term in terms], axis=1)
 
 
 def gradient_bands(
@@ -213,37 +228,6 @@ def _ray_terms(camera: Camera) -> npt.NDArray[np.float64]:
     k = camera.matrix
     scale = (1 / k[0, 0], 1 / k[1, 1]) if camera.is_perspective else (0.0, 0.0)
     return np.array([*scale, k[0, 2], k[1, 2]], dtype=np.float64)
-
-
-@njit
-def _metric_sums(slopes, positions, scale, node, count, rays):  # type: ignore[no-untyped-def]
-    h, w = slopes.shape[:2]
-    n = positions.shape[0]
-    out = np.zeros((count, 6))
-    for i in range(n):
-        x = min(max(positions[i, 0], 0.0), w - 1.0)
-        y = min(max(positions[i, 1], 0.0), h - 1.0)
-        u, v = min(int(x), w - 2), min(int(y), h - 2)
-        a, b = x - u, y - v
-        p = q = weight = 0.0
-        for dv in range(2):
-            for du in range(2):
-                share = (a if du else 1 - a) * (b if dv else 1 - b)
-                p += share * slopes[v + dv, u + du, 0]
-                q += share * slopes[v + dv, u + du, 1]
-                weight += share * slopes[v + dv, u + du, 2]
-        p, q = p / max(weight, 0.02), q / max(weight, 0.02)
-        rx, ry = (x - rays[2]) * rays[0], (y - rays[3]) * rays[1]
-        square = 1.0 + rx * rx + ry * ry
-        factor = weight * scale[i] ** 2
-        j = node[i]
-        out[j, 0] += factor * (1.0 + 2 * p * rx + p * p * square)
-        out[j, 1] += factor * (p * ry + q * rx + p * q * square)
-        out[j, 2] += factor * (1.0 + 2 * q * ry + q * q * square)
-        out[j, 3] += weight * p
-        out[j, 4] += weight * q
-        out[j, 5] += weight
-    return out
 
 
 @njit
