@@ -18,7 +18,6 @@ from scipy import ndimage
 from vntoolkit.arrays import FloatArray, Mask, Points2, box_of
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap
-from vntoolkit.native import njit
 from vntoolkit.tracking.factors import Factor, total
 from vntoolkit.tracking.lattice import TemplateLattice
 from vntoolkit.tracking.slopes import Slopes, sample_image
@@ -226,30 +225,19 @@ def edges_beside(
     return edges[np.linalg.norm(beside[first] - beside[second], axis=1) <= _TWO_SIDES_PX]
 
 
-@njit
-def _receding(slopes, mask):  # type: ignore[no-untyped-def]
+def _receding(slopes: Slopes, mask: Mask) -> tuple[Mask, Mask]:
     """(h, w) pixels between two, of which one recedes towards the other: at least faintly, and surely."""
-    h, w = mask.shape
-    faint, sure = np.zeros((h, w), dtype=np.bool_), np.zeros((h, w), dtype=np.bool_)
-    steep, slope = np.tan(_STEEP), np.empty((h, w), dtype=np.float32)
-    for c in range(2):
-        for v in range(h):
-            for u in range(w):
-                known = slopes[v, u, 2] >= _LEAST_SLOPE_WEIGHT
-                slope[v, u] = slopes[v, u, c] / slopes[v, u, 2] if known else np.nan
-        for v in range(h):
-            for u in range(w):
-                if not mask[v, u]:
-                    continue
-                for k in range(1, _REACH_PX + 1):
-                    left, right = (u - k, u + k - 1) if c == 0 else (u, u)
-                    above, below = (v, v) if c == 0 else (v - k, v + k - 1)
-                    if left < 0 or above < 0 or right >= w or below >= h:
-                        continue
-                    a, b = slope[above, left], slope[below, right]
-                    if not (a >= steep or b <= -steep):
-                        continue
-                    before, after = np.arctan(a), np.arctan(b)  # all comparisons fail where one is unknown
-                    faint[v, u] |= before - after > _TURN
-                    sure[v, u] |= before - after > _SURE_TURN and max(before, -after) > _SURELY_STEEP
+    faint, sure = np.zeros_like(mask), np.zeros_like(mask)
+    known = slopes[..., 2] >= _LEAST_SLOPE_WEIGHT
+    for axis, along in ((1, 0), (0, 1)):
+        slope = np.where(known, slopes[..., along], np.nan) / np.where(known, slopes[..., 2], 1.0)
+        angle = np.moveaxis(np.arctan(slope), axis, 0)  # all comparisons fail where it is unknown
+        within, faintly, surely = (np.moveaxis(each, axis, 0) for each in (mask, faint, sure))
+        for reach in range(1, _REACH_PX + 1):
+            between = slice(reach, len(angle) + 1 - reach)
+            before, after = angle[: 1 - 2 * reach], angle[2 * reach - 1 :]
+            turns = within[between] & ((before >= _STEEP) | (after <= -_STEEP))
+            faintly[between] |= turns & (before - after > _TURN)
+            steepest = np.maximum(before, -after)
+            surely[between] |= turns & (before - after > _SURE_TURN) & (steepest > _SURELY_STEEP)
     return faint, sure
