@@ -210,11 +210,10 @@ class _Sums:
         evidence: Evidence,
         mix: Matrix3 | None = None,
         inverse: Float32Array | None = None,
-        frames: slice = slice(None),
     ) -> _Sums:
         total = np.zeros((int(evidence.blocks.max()) + 1, 10))
-        seams = _seams_of_paint(evidence)[frames]
-        for light, used, seam in zip(evidence.light[frames], evidence.surface[frames], seams, strict=True):
+        seams = _seams_of_paint(evidence)
+        for light, used, seam in zip(evidence.light, evidence.surface, seams, strict=True):
             if used.any():
                 total += _block_sums(evidence, scaled_normals(evidence, light, mix, inverse), used, seam)
         return cls(blocks=total[total[:, 7] > 0])
@@ -418,31 +417,20 @@ def _mistakes(evidence: Evidence, own: _Sums) -> Iterator[_Reading]:
             own,
             turned=True,
         )
-    one = slice(len(evidence.light) // 2, len(evidence.light) // 2 + 1)
-    bar = _Reading.of("", "", _Sums.of(evidence, frames=one)).misfit
-
-    def looked_at(
-        name: str, remedy: str, mix: Matrix3 | None, inverse: Float32Array | None
-    ) -> Iterator[_Reading]:
-        """Yield the reading of all frames where one frame's is not worse than as calibrated."""
-        glimpse = _Reading.of("", "", _Sums.of(evidence, mix, inverse, one))
-        if glimpse.misfit < bar:
-            yield _Reading.of(name, remedy, _Sums.of(evidence, mix, inverse))
-
     saved = "was the footage saved in another channel order, such as BGR? save it as RGB"
     for order in _orders():
-        mix = np.eye(3)[list(order)]
-        yield from looked_at(f"with {_exchanged(order, CHANNELS)}", saved, mix, None)
+        sums = _Sums.of(evidence, np.eye(3)[list(order)])
+        yield _Reading.of(f"with {_exchanged(order, CHANNELS)}", saved, sums)
     transposed = evidence.inverse_of(evidence.rig.response.matrix.T)
     by_axis = "write M with a row per channel and a column per axis"
-    yield from looked_at("with M transposed", by_axis, None, transposed)
+    yield _Reading.of("with M transposed", by_axis, _Sums.of(evidence, inverse=transposed))
     colours = evidence.rig.response.light_colours
     if colours is not None:
         lamps = ("the first lamp", "the second lamp", "the third lamp")
         in_one_order = "list the lamps' directions and colours in one order"
         for order in _orders():
             mix = colours.T @ np.eye(3)[list(order)] @ np.linalg.inv(colours.T)
-            yield from looked_at(f"with {_exchanged(order, lamps)}", in_one_order, mix, None)
+            yield _Reading.of(f"with {_exchanged(order, lamps)}", in_one_order, _Sums.of(evidence, mix))
 
 
 def _read_otherwise(evidence: Evidence) -> Evidence:
