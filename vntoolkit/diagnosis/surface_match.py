@@ -112,10 +112,9 @@ def structure(evidence: Evidence) -> Structure:
         total += float((normals[inside] ** 2).sum())
         count += int(inside.sum())
         for axis in (0, 1):
-            near, far = [slice(None)] * 2, [slice(None)] * 2
-            near[axis], far[axis] = slice(None, -_LAG_PX), slice(_LAG_PX, None)
-            both = inside[tuple(near)] & inside[tuple(far)]
-            products += float((normals[tuple(near)] * normals[tuple(far)]).sum(axis=2)[both].sum())
+            along, there = np.moveaxis(normals, axis, 0), np.moveaxis(inside, axis, 0)
+            both = there[:-_LAG_PX] & there[_LAG_PX:]
+            products += float((along[:-_LAG_PX] * along[_LAG_PX:]).sum(axis=2)[both].sum())
             pairs += int(both.sum())
     if not count or not pairs or not total:
         return Structure(coherence=1.0, spread_deg=90.0, pixels=0, faces_camera=True)
@@ -246,11 +245,10 @@ def _seams_of_paint(evidence: Evidence) -> BoolArray:
     for light, used, seam in zip(evidence.light, evidence.surface, seams, strict=True):
         logs = np.log(np.maximum(cv2.GaussianBlur(light, (0, 0), _BLUR_PX), _LEAST_LIGHT))
         for axis in (0, 1):
-            before, middle, after = [slice(None)] * 2, [slice(None)] * 2, [slice(None)] * 2
-            before[axis], after[axis] = slice(None, -2 * _PAINT_REACH_PX), slice(2 * _PAINT_REACH_PX, None)
-            middle[axis] = slice(_PAINT_REACH_PX, -_PAINT_REACH_PX)
-            steps = np.abs(logs[tuple(after)] - logs[tuple(before)]).max(axis=-1)
-            seam[tuple(middle)] |= (steps > _PAINT_STEP) & used[tuple(after)] & used[tuple(before)]
+            along, there, beside = (np.moveaxis(each, axis, 0) for each in (logs, used, seam))
+            steps = np.abs(along[2 * _PAINT_REACH_PX :] - along[: -2 * _PAINT_REACH_PX]).max(axis=-1)
+            both = there[2 * _PAINT_REACH_PX :] & there[: -2 * _PAINT_REACH_PX]
+            beside[_PAINT_REACH_PX:-_PAINT_REACH_PX] |= (steps > _PAINT_STEP) & both
         grown = np.ones((2 * _BESIDE_PX + 1, 2 * _BESIDE_PX + 1), np.uint8)
         seam[:] = cv2.dilate(seam.astype(np.uint8), grown) > 0
     return seams

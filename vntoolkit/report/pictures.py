@@ -195,7 +195,6 @@ def cropped(pictures: list[Picture], mask: Mask, margin_px: int = 6) -> list[Pic
 _PAGE_PX = 1060  # where a page shows a picture of this width, letters have their size as written
 _LETTER_PX, _LINE_PX, _GAP_PX = 12.0, 24, 8
 _SWATCH_PX, _ENTRY_PX, _SCALE_PX = 13, 170, 260
-_DPI = 100
 
 
 @dataclass(frozen=True, kw_only=True)
