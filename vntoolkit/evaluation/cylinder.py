@@ -13,7 +13,7 @@ from vntoolkit.geometry.rays import pixel_rays
 from vntoolkit.photometry.fit_quality import angles_deg
 from vntoolkit.spread import robust_deviation
 
-_FEWEST_PIXELS = 200
+FEWEST_PIXELS = 200
 _SIDE_DEG = 45.0  # an end's normals are 90 degrees from the side's
 
 
@@ -86,9 +86,9 @@ def side_angles(
     low, high = _extent(met.along[seen], angles[seen] < _SIDE_DEG)
     side = seen & (met.along >= low) & (met.along <= high)
     count = int(np.count_nonzero(side))
-    if count < _FEWEST_PIXELS:
+    if count < FEWEST_PIXELS:
         raise BadInput(
-            f"cylinder: {name} shows {count} valid pixels of the side, at least {_FEWEST_PIXELS} are needed"
+            f"cylinder: {name} shows {count} valid pixels of the side, at least {FEWEST_PIXELS} are needed"
         )
     return np.where(side, angles, 0.0), side
 

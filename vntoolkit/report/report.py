@@ -224,7 +224,6 @@ def _marker(count: int) -> dict[str, Any]:
 
 _SHEET_PX = 1600
 _TITLES = {"depth": "relief", "dents": "depth in mm", "shadows": "lights that arrive"}
-_ERRORS = pictures.ErrorScale(most=30.0)
 _BESIDE = 205  # grey beside the subject, since white means that all lights arrive
 
 
@@ -239,7 +238,7 @@ def samples_section(result: OpenedResult, count: int, height_px: int) -> page.Pa
         legend=({pictures.short_label(int(label)): pictures.web_colour(int(label)) for label in LABEL_LEGEND})
         if labelled
         else None,
-        scale=_ERRORS if any("expected error" in row for row in rows) else None,
+        scale=pictures.NORMAL_ERRORS if any("expected error" in row for row in rows) else None,
         height_px=height_px,
     )
     words = list(dict.fromkeys(name for row in rows for name in row))
@@ -267,7 +266,7 @@ def _parts(result: OpenedResult, number: int) -> dict[str, pictures.Picture]:
     parts = pictures.pictures_of_frame(result, number, ground=pictures.GROUND, beside_labels=_BESIDE)
     if normal_map.error_deg is not None:
         parts["expected error"] = pictures.picture_of_errors(
-            normal_map.error_deg, normal_map.mask, _ERRORS, pictures.GROUND
+            normal_map.error_deg, normal_map.mask, pictures.NORMAL_ERRORS, pictures.GROUND
         )
     titles = [_TITLES.get(name, name) for name in parts]
     return dict(zip(titles, pictures.cropped(list(parts.values()), normal_map.mask), strict=True))

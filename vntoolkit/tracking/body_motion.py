@@ -10,13 +10,13 @@ import numpy.typing as npt
 
 from vntoolkit.arrays import FloatArray
 from vntoolkit.geometry.camera import Camera
+from vntoolkit.spread import robust_deviation
 from vntoolkit.tracking.lattice import TemplateLattice
 from vntoolkit.tracking.template import TrackingTemplate
 
 _ROUNDS = 8  # of reweighting in the fit of one body
 _RIDGE = np.array([0.1, 0.1, 0.1, 1e-3])  # in measured nodes, by unit coordinates
 _LEAST_SCALE_PX = 1.0  # of the fit's residuals; closer fits are not worth more
-_SIGMAS = 1.5  # of a normal distribution in the median of its size
 
 
 class BodyMotion:
@@ -49,6 +49,6 @@ def _robust_fit(points: FloatArray, values: FloatArray, weight: FloatArray) -> n
         motion = np.linalg.solve(points.T @ weighted + np.diag(_RIDGE), weighted.T @ values)
         u, v = (values - points @ motion).T
         residual = np.sqrt(u * u + v * v)  # twenty times as fast as a norm over an axis of two
-        usual = float(np.median(residual[counted])) if counted.any() else 0.0
-        trust = weight / (1.0 + (residual / max(_LEAST_SCALE_PX, _SIGMAS * usual)) ** 2)
+        usual = robust_deviation(residual[counted]) if counted.any() else 0.0
+        trust = weight / (1.0 + (residual / max(_LEAST_SCALE_PX, usual)) ** 2)
     return np.asarray(motion)

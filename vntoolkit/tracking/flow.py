@@ -25,7 +25,6 @@ _OUTLIER_PX = 1.5  # a lattice vector this far from the median of its 5×5 neigh
 _FAR_CELLS = 8.0  # reach of the extrapolation beyond the mask, lattice spacings
 _DIS_MUST_BEAT = 0.6  # share of the other start's residual below which DIS's is believed
 _DOUBTFUL = 2.0  # times the median residual, above which a point tries DIS's start too
-_FEW = 0.01  # share of doubtful points below which DIS is not worth its time
 _SMALLEST_DIS_SIDE = 32  # OpenCV's DIS fails below
 _SURE = 8.0  # standard deviations of a correlation over all shifts, of which there are some 100,000
 _RELIEF_SIGMA_PX = 4.0  # of the mean that is taken off the normals
@@ -202,7 +201,7 @@ def _followed(
     ended, found, residual = _lucas_kanade(before, after, points, points + start[v, u])
     usual = np.median(residual[found > 0]) if found.any() else 0.0
     doubtful = (found == 0) | (residual > _DOUBTFUL * usual)
-    if np.mean(doubtful) < _FEW:
+    if not doubtful.any():
         return ended, found
     u, v = u[doubtful], v[doubtful]
     guess = points[doubtful] + _dis(before, after)[v, u]

@@ -26,8 +26,8 @@ GRAZING = 0.3  # cosine below which a slope weighs less, 73°: there it is mostl
 _EDGE_REACH_PX = 2  # of an edge that is off by a pixel, in a picture that is blurred by one
 _LEAST_DIVISOR = np.float32(1e-3)  # of what a weight is divided by
 LEAST_WEIGHT = 0.01  # of a pixel that counts
-_SIGMA_PX = 2.5  # of the Gaussian that is taken off a band
-_TAPS = 15  # to 3 sigma
+SIGMA_PX = 2.5  # of the Gaussian that is taken off a band
+TAPS = 15  # to 3 sigma
 _TIMES = 3  # that it is: relief up to 16 px long passes, of a fold of 60 px a ten-thousandth is left
 _MOST_HALVINGS = 2
 _JUMP_SMOOTHING_PX = 1.5
@@ -249,10 +249,10 @@ def _sample(image, positions):  # type: ignore[no-untyped-def]
 
 def _high_pass(values: npt.NDArray[np.float32], weight: npt.NDArray[np.float32]) -> None:
     """Take the Gaussian mean off values (h, w, k) premultiplied by weight (h, w), thrice; divide by it."""
-    around = cv2.GaussianBlur(weight, (_TAPS, _TAPS), _SIGMA_PX)
+    around = cv2.GaussianBlur(weight, (TAPS, TAPS), SIGMA_PX)
     share = np.where(weight > 0, weight / np.maximum(around, _LEAST_DIVISOR), np.float32(0.0))[..., None]
     for _ in range(_TIMES):
-        values -= share * cv2.GaussianBlur(values, (_TAPS, _TAPS), _SIGMA_PX).reshape(values.shape)
+        values -= share * cv2.GaussianBlur(values, (TAPS, TAPS), SIGMA_PX).reshape(values.shape)
     values /= np.maximum(weight, _LEAST_DIVISOR)[..., None]
 
 
