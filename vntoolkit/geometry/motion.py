@@ -10,7 +10,6 @@ from vntoolkit.checks import set_arrays
 from vntoolkit.errors import BadMotion
 
 _UNIT_TOLERANCE = 1e-6
-_UP_AXIS = 1  # y: down in the camera frame, up on disk
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -127,7 +126,10 @@ class Skeleton:
     @property
     def height(self) -> float:
         """Vertical extent of the rest pose, tips included."""
-        return float(np.ptp(np.concatenate([self.rest_positions, self.rest_tips])[:, _UP_AXIS]))
+        y = np.concatenate([self.rest_positions, self.rest_tips])[
+            :, 1
+        ]  # down in the camera frame, up on disk
+        return float(np.ptp(y))
 
     def index_of(self, name: str) -> int:
         """Return the index of a joint by its name, or raise `BadMotion` with the names there are."""

@@ -33,7 +33,6 @@ from vntoolkit.tracking.surface_metric import MeanMetric, SurfaceMetric
 from vntoolkit.tracking.template import TrackingTemplate
 
 STRAIN_PASSES = 4  # of lattice smoothing: strain that is not foreseen goes on over some cells
-_CONTOUR_STRAIN = 1.0  # across an occluding contour: how much is hidden there is not known
 _CONTOUR_STEEPNESS = 3.0  # squared slope, 60°, by which a surface recedes, and then no longer: a contour
 _BODY = 0.3  # the same beside the whole's motion: of a face that talks, a cloth that swings
 _PRIOR_EDGES = 0.2  # measured edges nearby that the two count for
@@ -123,7 +122,7 @@ class EdgePrior:
         share = right * of_body / (of_lengths + of_body)
         likely = np.minimum((contour + self._contour) / _CONTOUR_STEEPNESS, 1.0)
         variance = square * np.minimum(of_lengths, of_body)
-        slip = square * (_CONTOUR_STRAIN * likely) ** 2
+        slip = square * likely**2  # across a contour as much as an edge is long may be hidden
         return Prior(
             steps=share[:, None] * by_lengths + (1.0 - share)[:, None] * by_body,
             variance=variance + slip,

@@ -18,7 +18,6 @@ from vntoolkit.arrays import FloatArray, Points2
 from vntoolkit.tracking.template import TrackingTemplate
 
 NODES_BY_PASS = 4.2  # that smoothing averages: 4π σ², with σ² a third of a squared cell by pass
-_JACOBIAN_PASSES = 1  # of smoothing: over a cell and its neighbours
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -113,7 +112,7 @@ class LocalJacobians:
         self._x = pixels - self._centre
         ones = np.ones((len(pixels), 1))
         x, y = self._x[:, :1], self._x[:, 1:]
-        sums = lattice.smoothed(lattice.sums(np.hstack([ones, x, y, x * x, x * y, y * y])), _JACOBIAN_PASSES)
+        sums = lattice.smoothed(lattice.sums(np.hstack([ones, x, y, x * x, x * y, y * y])), 1)
         self._count, self._mean = sums[:, 0], sums[:, 1:3] / sums[:, :1]
         xx = sums[:, 3] - self._count * self._mean[:, 0] ** 2
         xy = sums[:, 4] - self._count * self._mean[:, 0] * self._mean[:, 1]
@@ -127,7 +126,7 @@ class LocalJacobians:
         """Return (nodes, 4): ∂u/∂x, ∂u/∂y, ∂v/∂x, ∂v/∂y of positions (n, 2) by the template's pixels."""
         moved = positions_px - self._centre - self._x
         moments = np.hstack([moved, moved[:, :1] * self._x, moved[:, 1:] * self._x])
-        sums = self._lattice.smoothed(self._lattice.sums(moments), _JACOBIAN_PASSES)
+        sums = self._lattice.smoothed(self._lattice.sums(moments), 1)
         mixed = sums[:, 2:].reshape(-1, 2, 2) - sums[:, :2, None] * self._mean[:, None, :]
         return np.asarray((mixed @ self._inverse + np.eye(2)).reshape(-1, 4))
 

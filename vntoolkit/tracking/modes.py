@@ -11,7 +11,6 @@ import numpy.typing as npt
 
 from vntoolkit.arrays import FloatArray
 
-_SLOW_DEGREE = 2  # of the polynomials in place that vary slowly
 # Standard deviation of stretch and shear, where none is measured: cloth has 0.03 to 0.1, skin up to 0.3.
 STRAIN = 0.07
 _TURN = 0.1  # the same of a turn in one step of the fit, radians
@@ -49,7 +48,6 @@ def slow_turns(steps: FloatArray, centres: FloatArray) -> npt.NDArray[np.float64
 
 
 def slow_monomials(places: FloatArray) -> npt.NDArray[np.float64]:
-    """Return (m, k) the monomials of places (m, 2) that vary slowly over the figure, by rising degree."""
+    """Return (m, 6) the monomials of places (m, 2) that vary slowly over the figure, up to squares."""
     x, y = ((places - places.mean(axis=0)) / np.maximum(places.std(axis=0), 1.0)).T
-    powers = [(degree - j, j) for degree in range(_SLOW_DEGREE + 1) for j in range(degree + 1)]
-    return np.stack([x**i * y**j for i, j in powers], axis=1)
+    return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)

@@ -31,7 +31,6 @@ _BOXES_PX = (7, 15)
 # Around the figure: no mean, and no step across a contour that touches it, reaches beyond.
 _MARGIN_PX = _BOXES_PX[-1]
 _PER_BOX = np.float32(_BOXES_PX[0] / (_BOXES_PX[1] - _BOXES_PX[0]))
-_HALF_OPEN = 0.5
 _BAND_PX = 2.0  # of vertices that are the border
 _BORDER_PX = 4  # beside the image's own border there is no outline
 _NARROW_GAP_PX = 9  # width of gaps that are no outline: dark pixels, as between strands of hair, come and go
@@ -146,7 +145,7 @@ def _openness(slopes: Slopes) -> npt.NDArray[np.float32]:
 
 def contour_distance(silhouette: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
     """(h, w) distance in pixels from the nearest occluding contour on the outline (h, w, 4) of a figure."""
-    contour = (np.abs(silhouette[..., 0]) < 1.0) & (silhouette[..., 3] < _HALF_OPEN)
+    contour = (np.abs(silhouette[..., 0]) < 1.0) & (silhouette[..., 3] < 0.5)  # rather closed than open
     if not contour.any():
         return np.full(contour.shape, np.inf, np.float32)
     return np.asarray(cv2.distanceTransform((~contour).astype(np.uint8), cv2.DIST_L2, 5), np.float32)
