@@ -18,12 +18,15 @@ from vntoolkit.io.atomic import write_text
 from vntoolkit.io.files import read_bytes
 from vntoolkit.io.footage.image_writing import encoded_image
 from vntoolkit.io.results.manifest import now_utc
+from vntoolkit.photometry.fit_quality import LARGE_CONDITION_NUMBER
+from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.report.pictures import report_style
 from vntoolkit.report.rendering import rendered
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+_GOOD_CONDITION = 10.0
 _KINDS = {
     ".png": "image/png",
     ".jpg": "image/jpeg",
@@ -96,6 +99,13 @@ class PageSection:
     notices: tuple[PageNotice, ...] = ()
     figures: tuple[PageFigure, ...] = ()
     tables: tuple[PageTable, ...] = ()
+
+
+def condition_of(response: LightResponse) -> PageNumber:
+    """Return M's condition number, graded."""
+    number, of_lights = response.condition_number, "set by the lights' directions and colours"
+    bounds = (_GOOD_CONDITION, LARGE_CONDITION_NUMBER)
+    return graded("condition number of M", f"{number:.1f}", number, bounds, of_lights)
 
 
 def table_of_sources(heading: str, rig: Rig) -> PageTable:

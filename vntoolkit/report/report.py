@@ -357,7 +357,6 @@ def settings_section(result: OpenedResult) -> page.PageSection:
 
 # Bounds between good, fair and poor, by experience with simulated captures; they only colour the numbers.
 _RESIDUAL_DEG = (2.0, 5.0)
-_CONDITION = (10.0, 30.0)
 _CONE_DEG = (35.0, 20.0)
 _HISTOGRAM_CELLS = 60
 _LARGEST_SAMPLE = 200_000
@@ -379,9 +378,7 @@ def calibration_section(result: OpenedResult, sample: int) -> page.PageSection:
 
 
 def _numbers(result: OpenedResult) -> tuple[page.PageNumber, ...]:
-    quality, response = result.rig.quality, result.rig.response
-    number, of_lights = response.condition_number, "set by the lights' directions and colours"
-    condition = page.graded("condition number of M", f"{number:.1f}", number, _CONDITION, of_lights)
+    quality, condition = result.rig.quality, page.condition_of(result.rig.response)
     if quality is None or quality.samples == 0:
         method = "stated" if quality is None else quality.method
         known = page.PageNumber(
