@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from vntoolkit.arrays import Array, BoolArray, ByteArray, Float32Array, FloatArray, Int64Array, Mask, Matrix3
+from vntoolkit.geometry.rays import pixel_rays
 from vntoolkit.photometry import transfer as transfers
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.rig import Rig
@@ -55,12 +56,7 @@ class Evidence:
     @cached_property
     def directions(self) -> Float32Array:
         """(h, w, 3) viewing rays with z = 1; (0, 0, 1) everywhere for an orthographic camera."""
-        rays = np.zeros((*self.light.shape[1:3], 3), np.float32)
-        rays[..., 2] = 1.0
-        if self.rig.camera.is_perspective:
-            k = self.rig.camera.matrix
-            rays[..., :2] = (self.positions_px - k[:2, 2]) / (k[0, 0], k[1, 1])
-        return rays
+        return pixel_rays(self.rig.camera, self.positions_px)[1].astype(np.float32)
 
     @cached_property
     def inverse(self) -> Float32Array:

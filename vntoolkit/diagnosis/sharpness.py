@@ -86,13 +86,9 @@ def fit_sharpness(frames: Sequence[LinearFrame], mask: Mask | None = None) -> Sh
     found = [seen for frame in frames if (seen := _of_frame(frame, mask)) is not None]
     if not found:
         return None
-    return Sharpness(
-        blur_px=float(np.median([seen.blur_px for seen in found])),
-        widest_px=float(np.median([seen.widest_px for seen in found])),
-        overshoot=float(np.median([seen.overshoot for seen in found])),
-        halo=float(np.median([seen.halo for seen in found])),
-        edges=sum(seen.edges for seen in found),
-    )
+    names = ("blur_px", "widest_px", "overshoot", "halo")
+    medians = {name: float(np.median([getattr(seen, name) for seen in found])) for name in names}
+    return Sharpness(**medians, edges=sum(seen.edges for seen in found))
 
 
 def colour_is_interpolated(frame: LinearFrame) -> bool:
