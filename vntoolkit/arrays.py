@@ -36,7 +36,6 @@ Vectors: TypeAlias = Annotated[FloatArray, "... 3"]
 Faces: TypeAlias = Annotated[npt.NDArray[np.int32], "m 3: vertex indices, counter-clockwise from outside"]
 Colours: TypeAlias = Annotated[npt.NDArray[np.float32], "n 3: RGB from 0 to 1"]
 Matrix3: TypeAlias = Annotated[FloatArray, "3 3: float64"]
-Matrix4: TypeAlias = Annotated[FloatArray, "4 4: float64"]
 Vector3: TypeAlias = Annotated[FloatArray, "3: float64"]
 
 Box: TypeAlias = tuple[slice, slice]
@@ -51,10 +50,7 @@ def read_only(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
 
 
 def box_of(mask: Mask, margin_px: int = 0) -> Box:
-    """Return the rows and the columns that a mask reaches over, and a margin of the image around them.
-
-    Of an empty mask the margin's pixels at the image's corner.
-    """
+    """Return rows and columns that a mask reaches over, with a margin; of an empty one the margin at 0, 0."""
     sides = []
     for axis, length in enumerate(mask.shape):
         used = np.flatnonzero(mask.any(axis=1 - axis))

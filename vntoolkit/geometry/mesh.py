@@ -20,7 +20,7 @@ from vntoolkit.arrays import (
     Points,
     read_only,
 )
-from vntoolkit.checks import require_finite, require_shape, set_arrays, sum_is_finite
+from vntoolkit.checks import require_finite, require_shape, set_arrays
 from vntoolkit.display import Displayed, Facts, Picture, picture_of_points
 from vntoolkit.errors import BadMesh
 
@@ -255,8 +255,7 @@ class MeshSequence(Displayed):
     def require_finite(self, name: str) -> None:
         """Raise `BadMesh` for a frame with NaN or infinity; reads them one after the other."""
         for frame, vertices in enumerate(self.vertices):
-            if not sum_is_finite(vertices):
-                require_finite(vertices, f"{name}: frame {frame}", BadMesh)
+            require_finite(vertices, f"{name}: frame {frame}", BadMesh)
 
     def __getitem__(self, frame: int) -> Mesh:
         """Return the mesh of one frame, read into memory."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from vntoolkit.arrays import ArrayLike, FloatArray, Matrix3, Matrix4, Vector3
+from vntoolkit.arrays import ArrayLike, FloatArray, Matrix3, Vector3
 from vntoolkit.checks import set_arrays
 from vntoolkit.errors import BadInput
 
@@ -45,7 +45,7 @@ class RigidTransform:
         return cls(rotation=matrix[:3, :3], translation=matrix[:3, 3:].ravel())
 
     @property
-    def matrix(self) -> Matrix4:
+    def matrix(self) -> FloatArray:
         """The (4, 4) homogeneous matrix."""
         matrix = np.eye(4)
         matrix[:3, :3] = self.rotation

@@ -18,7 +18,6 @@ from vntoolkit.io.atomic import write_text
 from vntoolkit.io.files import read_bytes
 from vntoolkit.io.footage.image_writing import encoded_image
 from vntoolkit.io.results.manifest import now_utc
-from vntoolkit.photometry.fit_quality import LARGE_CONDITION_NUMBER
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.report.pictures import report_style
@@ -26,7 +25,7 @@ from vntoolkit.report.rendering import rendered
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-_GOOD_CONDITION = 10.0
+_CONDITION = (10.0, 30.0)  # good up to the first, poor beyond the second
 _KINDS = {
     ".png": "image/png",
     ".jpg": "image/jpeg",
@@ -104,8 +103,7 @@ class PageSection:
 def condition_of(response: LightResponse) -> PageNumber:
     """Return M's condition number, graded."""
     number, of_lights = response.condition_number, "set by the lights' directions and colours"
-    bounds = (_GOOD_CONDITION, LARGE_CONDITION_NUMBER)
-    return graded("condition number of M", f"{number:.1f}", number, bounds, of_lights)
+    return graded("condition number of M", f"{number:.1f}", number, _CONDITION, of_lights)
 
 
 def table_of_sources(heading: str, rig: Rig) -> PageTable:

@@ -10,7 +10,6 @@ import numpy.typing as npt
 
 from vntoolkit.arrays import FloatArray
 from vntoolkit.geometry.camera import Camera
-from vntoolkit.spread import robust_deviation
 from vntoolkit.tracking.lattice import TemplateLattice
 from vntoolkit.tracking.template import TrackingTemplate
 
@@ -49,6 +48,7 @@ def _robust_fit(points: FloatArray, values: FloatArray, weight: FloatArray) -> n
         motion = np.linalg.solve(points.T @ weighted + np.diag(_RIDGE), weighted.T @ values)
         u, v = (values - points @ motion).T
         residual = np.sqrt(u * u + v * v)  # twenty times as fast as a norm over an axis of two
-        usual = robust_deviation(residual[counted]) if counted.any() else 0.0
+        # the deviation, by the median of the sizes
+        usual = 1.5 * float(np.median(residual[counted])) if counted.any() else 0.0
         trust = weight / (1.0 + (residual / max(_LEAST_SCALE_PX, usual)) ** 2)
     return np.asarray(motion)
