@@ -82,7 +82,7 @@ LINES = {
     "evaluation": 1100,
     "geometry": 1820,
     "inspection": 250,
-    "integration": 1920,
+    "integration": 2010,
     "io": 8640,
     "live": 900,
     "materials": 2880,

@@ -1,5 +1,7 @@
 """Inside a mask: nothing outside counts, nothing at the border is flattened, components are independent."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from analytic_surfaces import largest_error
@@ -8,7 +10,7 @@ from vntoolkit.errors import SolverFailed
 from vntoolkit.evaluation.depth_error import disc_with_hole, normals_from_gradient, peaks
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import NormalMap
-from vntoolkit.integration.edges import EdgeField, edges_from_slopes
+from vntoolkit.integration.edges import EdgeField, FarEdges, edges_from_slopes
 from vntoolkit.integration.integrate import DepthIntegrator
 from vntoolkit.integration.poisson import MaskedSolver
 from vntoolkit.integration.slopes import rays_from_camera, slopes_from_normals
@@ -147,3 +149,43 @@ def test_multigrid_finds_the_depth_of_its_differences(make_weights, rng):
     misfit -= wanted
     assert (weight * misfit**2).sum() < 1e-11 * (weight * wanted**2).sum()
     assert solver.iterations < 60
+
+
+def test_edges_between_pixels_apart_are_least_squares_like_all_others(rng):
+    """Against a dense matrix, on a domain with holes and unequal weights."""
+    domain = rng.random((9, 11)) < 0.85
+    domain[4] = True
+    edges = edges_from_slopes(*rng.normal(size=(2, *domain.shape)).astype(np.float32), domain)
+    edges = replace(edges, weight=edges.weight * rng.uniform(0.1, 1.0, edges.weight.shape).astype(np.float32))
+    places = np.argwhere(domain)
+    ends = rng.choice(places, (2, 4))
+    far = FarEdges(
+        first=ends[0], last=ends[1], difference=rng.normal(size=4), weight=rng.uniform(0.5, 5.0, 4)
+    )
+    found = MaskedSolver(domain).solve(edges, weighted=True, far=far.within(domain, *np.s_[0:9, 0:11]))
+    number = np.full(domain.shape, -1)
+    number[domain] = np.arange(len(places))
+    rows, wanted = [], []
+    for k, v, u in np.argwhere(edges.weight > 0):
+        rows.append((number[v, u], number[v + k, u + 1 - k], edges.weight[k, v, u]))
+        wanted.append(edges.difference[k, v, u])
+    rows += list(zip(number[tuple(far.first.T)], number[tuple(far.last.T)], far.weight, strict=True))
+    wanted += list(far.difference)
+    matrix = np.zeros((len(rows), len(places)))
+    for row, (first, last, weight) in zip(matrix, rows, strict=True):
+        row[last] += np.sqrt(weight)
+        row[first] -= np.sqrt(weight)
+    roots = np.sqrt([weight for *_, weight in rows])
+    best = np.linalg.lstsq(matrix, roots * wanted, rcond=None)[0]
+    np.testing.assert_allclose(matrix @ found[domain], matrix @ best, atol=1e-3)
+
+
+def test_edges_that_leave_the_domain_are_left_out():
+    domain = np.ones((6, 8), bool)
+    domain[2, 2] = False
+    ends = np.array([[2, 2], [3, 3], [5, 7]])
+    far = FarEdges(first=ends, last=np.full((3, 2), 4), difference=np.arange(3.0), weight=np.ones(3))
+    near = far.within(domain, slice(1, 6), slice(2, 8))
+    assert near.difference.tolist() == [1.0, 2.0]
+    assert near.first.tolist() == [[2, 1], [4, 5]]
+    assert near.last.tolist() == [[3, 2]] * 2

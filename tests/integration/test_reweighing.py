@@ -1,10 +1,14 @@
 """The compiled loops of jumps against their plain numpy forms."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from vntoolkit.integration import discontinuity
-from vntoolkit.integration.discontinuity import SlopeErrors, normalised_residuals
+from vntoolkit.integration.discontinuity import JumpSolver, SlopeErrors, normalised_residuals
+from vntoolkit.integration.edges import FarEdges
+from vntoolkit.integration.poisson import MaskedSolver
 
 SHAPE = (13, 17)
 
@@ -49,7 +53,8 @@ def test_normalised_residuals(edges):
 def test_weights_and_what_edges_miss(edges, scale):
     depth, difference, variance = edges
     missing, weight = np.zeros((2, *variance.shape), np.float32)
-    discontinuity._reweigh(depth, difference, variance, scale, missing, weight)
+    smallest = variance[variance > 0].min()
+    discontinuity._reweigh(depth, difference, variance, scale, smallest, missing, weight)
     wanted_missing, wanted_weight = plain_weights(depth, difference, variance, scale)
     np.testing.assert_allclose(missing, wanted_missing, rtol=1e-5, atol=1e-6)
     np.testing.assert_allclose(weight, wanted_weight, rtol=1e-4, atol=1e-9)
@@ -89,3 +94,23 @@ def test_variances(rng, stated):
             of_ends = 0.5 * (error[first] ** 2 + error[last] ** 2)
             wanted = np.maximum(wanted, (np.radians(1.0) / 2.146) ** 2 * of_ends * spread[k])
         np.testing.assert_allclose(errors.variance[k][first], np.where(edge[k], wanted, 0.0), rtol=1e-4)
+
+
+def test_parts_that_normals_do_not_connect_lie_where_far_edges_say(rng):
+    """Two planes, and between them columns whose slopes contradict each other. Every 10th edge is wrong."""
+    p, q = rng.normal(scale=0.02, size=(2, 40, 60)).astype(np.float32)
+    p[:, 28:48] = rng.uniform(-8.0, 8.0, (40, 20))
+    rows = np.arange(40)
+    far = FarEdges(
+        first=np.stack([rows, np.full(40, 25)], axis=1),
+        last=np.stack([rows, np.full(40, 52)], axis=1),
+        difference=np.where(rows % 10 == 5, 65.0, 25.0),
+        weight=np.full(40, 4.0),
+    )
+    errors = SlopeErrors(p=p, q=q, inside=np.ones(p.shape, bool), far=far)
+    steps = []
+    for each in (errors, replace(errors, far=None)):
+        depth = JumpSolver(MaskedSolver(each.inside), each).solve(np.zeros(p.shape))
+        steps.append(depth[:, 52:].mean() - depth[:, :25].mean())
+    assert steps[0] == pytest.approx(25.0, abs=1.0)
+    assert abs(steps[1] - 25.0) > 10.0  # without, chance decides

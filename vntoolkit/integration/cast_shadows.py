@@ -4,7 +4,8 @@ Normals say nothing of how far one surface lies behind another. A cast shadow do
 ray to the lamp grazes what throws it (Kender and Smith 1987, `kender1987`; `daum1998`). Along that ray depth
 changes by as much per pixel as the lamp's direction says, so that a shadow's length is a difference of depth.
 What the slopes leave of it is the step at the rim of what throws the shadow: where, in the dark, a surface
-that faces the lamp meets one that does not, or the light begins again towards the lamp.
+that faces the lamp meets one that does not, or the light begins again towards the lamp. Normals in the dark
+are poor: the step may lie elsewhere. The difference between the lit ends holds, whatever lies in between.
 
 A shadow that runs out of sight, over the outline or into a surface turned away, is at least as long as what
 is seen of it; so is its step.
@@ -27,16 +28,14 @@ from vntoolkit.arrays import (
     VisibilityLabels,
 )
 from vntoolkit.geometry.maps import HALF_WEIGHT_DEG, NormalMap
-from vntoolkit.integration.edges import EdgeField
+from vntoolkit.integration.edges import EdgeField, FarEdges
 from vntoolkit.integration.slopes import RayField
 from vntoolkit.native import njit
 
 _FACING = np.float32(0.1)  # cosine to the lamp above which a surface in the dark has a shadow cast upon it
-_SHARP = np.float32(0.2)  # … above which the place where the light begins again is known to a pixel
 # Beyond a shadow's border the light may be on the same surface, where what throws the shadow stands off it.
 _STRAIGHT = np.float32(0.5)  # cosine to the lamp's way below which a border that faces the lamp …
 _GRAZING = np.float32(0.35)  # … by more than this cosine is no rim
-_OUTLINE_PX = 2  # a surface turns out of sight within so many pixels, and what its normals say is not sure
 _STEEPEST = np.float32(8.0)  # slope of a pixel, by which a rim that is seen from the side counts
 _UNIT_VARIANCE = math.tan(math.radians(HALF_WEIGHT_DEG)) ** 2  # of a slope, squared, that a weight divides
 _LENGTH_DEVIATION_PX = np.float32(1.0)  # standard deviation of a shadow's length, both ends together
@@ -44,10 +43,11 @@ _LENGTH_DEVIATION_PX = np.float32(1.0)  # standard deviation of a shadow's lengt
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DepthSteps:
-    """What to add to the differences of depth between neighbouring pixels of an image.
+    """What cast shadows add to the differences of depth between the pixels of an image.
 
     down: (n,) bool; rows, columns: (n,): the edge from pixel (column, row) to the next one down, or to the
-    right. steps: (n,) in pixels, as the slope of a pixel is. variances: (n,), squared pixels.
+    right. steps: (n,) in pixels, as the slope of a pixel is. variances: (n,), squared pixels. far: from one
+    lit end of a shadow to the other; weights are inverse variances.
     """
 
     down: BoolArray
@@ -55,6 +55,7 @@ class DepthSteps:
     columns: Int64Array
     steps: FloatArray
     variances: FloatArray
+    far: FarEdges
 
     def images(self, rows: slice, columns: slice) -> tuple[Float32Array, Float32Array]:
         """Return steps and variances of a window's edges to the right, and down: (2, h, w), 0 elsewhere."""
@@ -90,7 +91,7 @@ def steps_from_shadows(
     height, width = mask.shape
     middle = np.array([[0.5 * width - 0.5, 0.5 * height - 0.5]])
     perspective = np.float32(rays.depth_scales_ray)
-    edges, steps, variances = [], [], []
+    edges, steps, variances, ends, lengths = [], [], [], [], []
     for k, deviation in enumerate(deviations):
         if not np.isfinite(deviation):
             continue
@@ -99,7 +100,7 @@ def steps_from_shadows(
         under = _cast_upon(labels, bit, normals, mask, lamp, rays.affine, perspective)
         rims = _rims(labels, bit, mask, under)
         lamps = lamp_at(k, rims[:, 1::-1].astype(np.float64)).astype(np.float32)
-        step, variance = _steps(
+        step, variance, end, length = _steps(
             rims, lamps, labels, bit, under, normals, mask, np.float32(deviation), rays.affine, perspective
         )
         known = variance > 0.0
@@ -108,10 +109,13 @@ def steps_from_shadows(
         edges.append(((down * height + first[:, 0]).astype(np.int64) * width + first[:, 1])[known])
         steps.append(step[known])
         variances.append(variance[known])
+        ends.append(end[known])
+        lengths.append(length[known])
     codes, place = np.unique(np.concatenate(edges or [np.zeros(0, np.int64)]), return_inverse=True)
     if not len(codes):
         return None
-    weights = 1.0 / np.concatenate(variances)
+    weights, between = 1.0 / np.concatenate(variances), np.concatenate(ends).astype(np.int64)
+    lit = between[:, 0] >= 0
     variance = 1.0 / np.bincount(place, weights)
     down, pixels = codes >= height * width, codes % (height * width)
     return DepthSteps(
@@ -120,6 +124,12 @@ def steps_from_shadows(
         columns=pixels % width,
         steps=np.bincount(place, weights * np.concatenate(steps)) * variance,
         variances=variance,
+        far=FarEdges(
+            first=between[lit, :2],
+            last=between[lit, 2:],
+            difference=np.concatenate(lengths)[lit],
+            weight=weights[lit],
+        ),
     )
 
 
@@ -167,7 +177,7 @@ def _rims(labels: Any, bit: Any, mask: Any, under: Any) -> Any:
     found, count = np.empty((256, 4), np.int32), 0
     for v in range(h):
         for u in range(w):
-            if not under[v, u] or not _is_inside(mask, v, u):
+            if not under[v, u]:
                 continue
             for dv, du in ((0, 1), (1, 0), (0, -1), (-1, 0)):
                 y, x = v + dv, u + du
@@ -184,25 +194,24 @@ def _rims(labels: Any, bit: Any, mask: Any, under: Any) -> Any:
 def _steps(
     rims: Any, lamps: Any, labels: Any, bit: Any, under: Any, normals: Any, mask: Any,
     deviation: Any, affine: Any, perspective: Any,
-) -> tuple[Any, Any]:  # fmt: skip
-    """Return (n,) steps along the edges right and down, and their variances, 0 where nothing tells."""
-    steps, variances = np.zeros((2, len(rims)), np.float32)
+) -> tuple[Any, Any, Any, Any]:  # fmt: skip
+    """Return of n rims the steps along the edges right and down, their variances, 0 where nothing tells, the
+    lit ends of the shadow (n, 4), −1 where it runs out of sight, and how depth changes from end to end.
+    """
+    steps, variances, lengths = np.zeros((3, len(rims)), np.float32)
+    ends = np.full((len(rims), 4), -1, np.int32)
     for i in range(len(rims)):
         v, u, y, x = rims[i, 0], rims[i, 1], rims[i, 2], rims[i, 3]
-        step, variances[i] = _step(
-            labels, bit, under, normals, mask, lamps[i], deviation, affine, perspective, v, u, y, x
+        step, variances[i], lengths[i] = _step(
+            labels, bit, under, normals, mask, lamps[i], deviation, affine, perspective, v, u, y, x, ends[i]
         )  # fmt: skip
         steps[i] = step if v < y or u < x else -step
-    return steps, variances
+    return steps, variances, ends, lengths
 
 
 @njit(forceinline=True)
 def _is_inside(mask: Any, v: int, u: int) -> Any:
-    """Whether a place is not beside the outline."""
-    d = _OUTLINE_PX
-    if not (d <= v < len(mask) - d and d <= u < mask.shape[1] - d):
-        return 0 <= v < len(mask) and 0 <= u < mask.shape[1] and mask[v, u]
-    return mask[v, u] and mask[v - d, u] and mask[v + d, u] and mask[v, u - d] and mask[v, u + d]
+    return 0 <= v < len(mask) and 0 <= u < mask.shape[1] and mask[v, u]
 
 
 @njit(forceinline=True)
@@ -218,7 +227,13 @@ def _cosine(normals: Any, lamp: Any, v: int, u: int) -> Any:
 @njit(forceinline=True)
 def _is_dark(labels: Any, bit: Any, mask: Any, v: int, u: int) -> Any:
     """Whether a place lies in the mask and in the lamp's shadow."""
-    return 0 <= v < len(mask) and 0 <= u < mask.shape[1] and mask[v, u] and not labels[v, u] & bit
+    return _is_inside(mask, v, u) and not labels[v, u] & bit
+
+
+@njit(forceinline=True)
+def _is_lit(labels: Any, bit: Any, mask: Any, v: int, u: int) -> Any:
+    """Whether a place lies in the mask and in the lamp's light."""
+    return _is_inside(mask, v, u) and labels[v, u] & bit
 
 
 @njit(forceinline=True)
@@ -239,19 +254,19 @@ def _way(affine: Any, perspective: Any, lamp: Any, v: int, u: int) -> tuple[Any,
 @njit
 def _step(
     labels: Any, bit: Any, under: Any, normals: Any, mask: Any, lamp: Any, deviation: Any,
-    affine: Any, perspective: Any, v: int, u: int, y: int, x: int,
-) -> tuple[Any, Any]:  # fmt: skip
-    """Return by how much depth changes from the pixel (u, v), shadowed, to its neighbour (x, y), and the
-    variance; both 0 where nothing tells.
+    affine: Any, perspective: Any, v: int, u: int, y: int, x: int, ends: Any,
+) -> tuple[Any, Any, Any]:  # fmt: skip
+    """Return by how much depth changes from the pixel (u, v), shadowed, to its neighbour (x, y), the
+    variance, and the change over the whole shadow; all 0 where nothing tells. Fill in its lit ends.
     """
     zero, half, one = np.float32(0.0), np.float32(0.5), np.float32(1.0)
     step_u, step_v, stride, rise = _way(affine, perspective, lamp, v, u)
     if rise <= zero:
-        return zero, zero
+        return zero, zero, zero
     if labels[y, x] & bit:
         along = _along_light(labels, bit, mask, v, u, y, x, step_u, step_v)
         if along <= zero or (along < _STRAIGHT and _cosine(normals, lamp, y, x) > _GRAZING):
-            return zero, zero
+            return zero, zero, zero
     # away from the lamp, to the end of the shadow; a normal that does not face the lamp there is wrong
     slopes, known, count, at_v, at_u = zero, zero, zero, v, u
     while _is_dark(labels, bit, mask, at_v, at_u) and under[at_v, at_u]:
@@ -261,10 +276,11 @@ def _step(
         count += one
         at_v, at_u = _nearest(v - count * step_v), _nearest(u - count * step_u)
     if known == zero:
-        return zero, zero
+        return zero, zero, zero
     slopes *= count / known
-    inside = 0 <= at_v < len(mask) and 0 <= at_u < mask.shape[1] and mask[at_v, at_u]
-    if not inside or not labels[at_v, at_u] & bit or _cosine(normals, lamp, at_v, at_u) < _SHARP:
+    far_v, far_u = at_v, at_u
+    is_seen = _is_lit(labels, bit, mask, far_v, far_u)
+    if not is_seen:
         count -= half
     # towards the lamp, to where the light begins again: no part of it rises above the ray, one touches it
     best, ahead, at_v, at_u = -rise * stride * count - slopes, zero, y, x
@@ -277,8 +293,10 @@ def _step(
     turned = (one + rise * rise) * deviation * stride * count
     variance = (rise * _LENGTH_DEVIATION_PX) ** 2 + turned * turned
     if best >= zero or best * best < np.float32(4.0) * variance:
-        return zero, zero
-    return best, variance
+        return zero, zero, zero
+    if is_seen and _is_lit(labels, bit, mask, at_v, at_u):
+        ends[0], ends[1], ends[2], ends[3] = far_v, far_u, at_v, at_u
+    return best, variance, -rise * stride * count
 
 
 @njit

@@ -18,13 +18,13 @@ A surface whose residuals are all explained keeps the least-squares solution.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from vntoolkit.arrays import Float32Array, FloatArray, Mask
-from vntoolkit.integration.edges import EdgeField, chords_from_slopes
+from vntoolkit.integration.edges import EdgeField, FarEdges, chords_from_slopes
 from vntoolkit.integration.poisson import MaskedSolver
 from vntoolkit.native import njit
 from vntoolkit.spread import MEDIAN_TO_DEVIATION, NINE_OF_TEN_IN_PLANE
@@ -53,7 +53,8 @@ class SlopeErrors:
 
     p, q: (h, w) float32, slopes in pixels a pixel. inside: (h, w). error_deg: (h, w) float32, the bound that
     nine of ten normals stay within, or None. steps, of_steps: (2, h, w) float32, known steps of depth and
-    their variances, or None.
+    their variances, or None. far: known differences between pixels that lie apart; weights are inverse
+    variances.
     """
 
     p: Float32Array
@@ -62,6 +63,7 @@ class SlopeErrors:
     error_deg: Float32Array | None = None
     steps: Float32Array | None = None
     of_steps: Float32Array | None = None
+    far: FarEdges | None = None
 
     @cached_property
     def variance(self) -> Float32Array:
@@ -108,7 +110,10 @@ class JumpSolver:
     def __init__(self, solver: MaskedSolver, errors: SlopeErrors) -> None:
         self._solver = solver
         self._variance = errors.variance
+        self._smallest = float(self._variance[self._variance > 0].min(initial=np.inf))
+        self._far = errors.far
         self.held = np.zeros_like(self._variance)  # weights of the last step
+        self.held_far = errors.far
         self.difference = chords_from_slopes(errors.p, errors.q)
         if errors.steps is not None:
             self.difference += errors.steps
@@ -135,10 +140,16 @@ class JumpSolver:
     def _step(self, depth: FloatArray, scale: float, tolerance: float) -> FloatArray:
         """Solve with weights of the residuals of `depth`; scale: standard deviations that keep a quarter."""
         field = EdgeField(difference=np.zeros_like(self._variance), weight=np.zeros_like(self._variance))
-        _reweigh(depth, self.difference, self._variance, scale, field.difference, field.weight)
-        self.held = field.weight
+        smallest = np.float32(self._smallest)
+        _reweigh(depth, self.difference, self._variance, scale, smallest, field.difference, field.weight)
+        self.held, missing = field.weight, None
+        if self._far is not None:
+            residuals = self._far.residuals(depth)
+            kept = 1.0 / (1.0 + residuals**2 * self._far.weight / max(scale, _SCALE) ** 2)
+            self.held_far = replace(self._far, weight=kept**2 * self._far.weight * self._smallest)
+            missing = replace(self.held_far, difference=-residuals)
         return depth + self._solver.solve(
-            field, weighted=True, tolerance=tolerance, most_iterations=_ROUND_ITERATIONS
+            field, weighted=True, far=missing, tolerance=tolerance, most_iterations=_ROUND_ITERATIONS
         )
 
 
@@ -184,19 +195,14 @@ def _normalised(depth, difference, variance, out):  # type: ignore[no-untyped-de
 
 
 @njit
-def _reweigh(depth, difference, variance, scale, missing, weight):  # type: ignore[no-untyped-def]
+def _reweigh(depth, difference, variance, scale, smallest, missing, weight):  # type: ignore[no-untyped-def]
     """Fill (2, h, w) with what edges still want, and with their weights: inverse variances, less where cut.
 
-    scale: standard deviations of a residual at which an edge along the slope keeps a quarter.
+    scale: standard deviations of a residual at which an edge along the slope keeps a quarter. smallest: the
+    variance whose weight is 1.
     """
     height, width = depth.shape
     one, least, against = np.float32(1.0), np.float32(_LEAST_WEIGHT), np.float32(_AGAINST_SLOPE)
-    smallest = np.float32(np.inf)
-    for k in range(2):
-        for v in range(height):
-            for u in range(width):
-                if variance[k, v, u] > 0:
-                    smallest = min(smallest, variance[k, v, u])
     for v in range(height):
         for k in range(2):
             y = v + k

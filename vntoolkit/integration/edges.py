@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
-from vntoolkit.arrays import Array, Float32Array, Float64Array, FloatArray, Int32Array, Mask
+from vntoolkit.arrays import Array, Float32Array, Float64Array, FloatArray, Int32Array, Int64Array, Mask
 from vntoolkit.native import njit
 
 _C = np.float32(1.0 / 24.0)
@@ -31,6 +31,35 @@ class EdgeField:
 
     difference: Float32Array
     weight: Float32Array
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FarEdges:
+    """Wanted depth differences between pixels that lie apart, and their weights, (n,).
+
+    first, last: (n, 2) int64, row and column; differences are depth at `last` less that at `first`.
+    """
+
+    first: Int64Array
+    last: Int64Array
+    difference: FloatArray
+    weight: FloatArray
+
+    def within(self, domain: Mask, rows: slice, columns: slice) -> "FarEdges":
+        """Return those between pixels of the domain (h, w), in a window's rows and columns."""
+        inside = domain[tuple(self.first.T)] & domain[tuple(self.last.T)]
+        corner = rows.start, columns.start
+        return FarEdges(
+            first=self.first[inside] - corner,
+            last=self.last[inside] - corner,
+            difference=self.difference[inside],
+            weight=self.weight[inside],
+        )
+
+    def residuals(self, depth: FloatArray) -> FloatArray:
+        """Return (n,), what depth (h, w) differs by, less what it is wanted to."""
+        found: FloatArray = depth[tuple(self.last.T)] - depth[tuple(self.first.T)]
+        return found - self.difference
 
 
 def edges_from_slopes(

@@ -256,16 +256,16 @@ class DomainSolver:
         if self._jumps is None:
             difference = edges_from_slopes(p, q, self.domain[box]).difference * np.float32(scale)
             difference += 0.0 if errors.steps is None else errors.steps
-            weight = inverse_of(errors.variance)
+            weight, far = inverse_of(errors.variance), None
         else:
-            difference, weight = self._jumps.difference, self._jumps.held
+            difference, weight, far = self._jumps.difference, self._jumps.held, self._jumps.held_far
         off = max(deviation_of(normalised_residuals(own, difference, errors.variance)), 1.0)
         unit = off**2 * float(errors.variance[errors.variance > 0].min())  # variance of the weight 1
         values, information = prior.measurements(scale, self._rays.depth_scales_ray > 0)
         value, known_weight = values[box], np.where(self.domain[box], information[box], 0.0) * unit
         field = EdgeField(difference=np.asarray(difference, np.float32), weight=weight)
         start = self.components.moved_to(own, value, known_weight)
-        found = self._masked.solve(field, start, weighted=True, known=(value, known_weight))
+        found = self._masked.solve(field, start, weighted=True, known=(value, known_weight), far=far)
         out = np.zeros_like(solution)
         out[box] = np.where(self.domain[box], found, 0.0) / scale
         return out
@@ -312,13 +312,15 @@ def slope_errors(
     if error is None and normal_map.weight is not None:
         error = HALF_WEIGHT_DEG * np.sqrt(1.0 / np.maximum(normal_map.weight, _LEAST_TRUST) - 1.0)
     known, variances = (None, None) if steps is None else steps.images(*box)
+    inside = normal_map.mask if domain is None else domain
     return SlopeErrors(
         p=p * scale,
         q=q * scale,
-        inside=np.ascontiguousarray((normal_map.mask if domain is None else domain)[box]),
+        inside=np.ascontiguousarray(inside[box]),
         error_deg=None if error is None else np.ascontiguousarray(error[box], dtype=np.float32),
         steps=known,
         of_steps=variances,
+        far=None if steps is None else steps.far.within(inside, *box),
     )
 
 

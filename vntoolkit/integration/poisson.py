@@ -7,14 +7,14 @@ transform is that mirrored Fourier transform without the copies.
 """
 
 from functools import cached_property
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 import scipy.fft
 
-from vntoolkit.arrays import Array, DTypeLike, Float32Array, Float64Array, FloatArray, Mask
+from vntoolkit.arrays import Array, DTypeLike, Float32Array, Float64Array, FloatArray, Int64Array, Mask
 from vntoolkit.errors import SolverFailed
-from vntoolkit.integration.edges import EdgeField
+from vntoolkit.integration.edges import EdgeField, FarEdges
 from vntoolkit.native import njit
 from vntoolkit.solvers import GridHierarchy, grid_hierarchy, multigrid_cycle
 
@@ -147,27 +147,34 @@ class MaskedSolver:
         *,
         weighted: bool = False,
         known: tuple[FloatArray, FloatArray] | None = None,
+        far: FarEdges | None = None,
         tolerance: float | None = None,
         most_iterations: int | None = None,
     ) -> Float64Array:
         """Return the depth (h, w) whose differences fit `edges` best; offsets per component are arbitrary.
 
         weighted: whether the weights differ between edges of the domain. known: depth (h, w) and its weights,
-        beside those of the edges; needs `weighted`. start: a first guess (h, w), for
-        example the frame before. tolerance, most_iterations: where it stops, as a step among others need not
-        be solved to the end. Without: those of the solver; raises `SolverFailed` where they do not suffice.
+        beside those of the edges; needs `weighted`. far: edges between pixels that lie apart. start: a first
+        guess (h, w), for example the frame before. tolerance, most_iterations: where it stops, as a step
+        among others need not be solved to the end. Without: those of the solver; raises `SolverFailed` where
+        they do not suffice.
         """
         right, down = (self._padded(weight) for weight in edges.weight)
         self._levels = _levels_of(right, down) if weighted else None
         load, depth = np.zeros(right.shape), np.zeros(right.shape)
         _load(*(self._padded(each) for each in edges.difference), right, down, load)
-        known_weight = None
+        operator = _Operator(right, down)
         if known is not None:
             known_weight = self._padded(known[1])
+            operator = operator._replace(known_weight=known_weight)
             load += known_weight * self._padded(known[0])
+        if far is not None:
+            first, last = (self._flat_padded(ends) for ends in (far.first, far.last))
+            operator = operator._replace(far=(first, last, far.weight))
+            _spread(first, last, far.weight * far.difference, load.reshape(-1))
         if start is not None and load.any():  # else 0 is the solution
             depth[1:-1, 1:-1] = self._padded(start)[1:-1, 1:-1]
-        self._iterate(right, down, known_weight, depth, load, tolerance, most_iterations)
+        self._iterate(operator, depth, load, tolerance, most_iterations)
         out = np.zeros(self._shape)
         box_height, box_width = (s.stop - s.start for s in self._box)
         out[self._box] = depth[1 : box_height + 1, 1 : box_width + 1]
@@ -175,9 +182,7 @@ class MaskedSolver:
 
     def _iterate(
         self,
-        right: Float32Array,
-        down: Float32Array,
-        known_weight: FloatArray | None,
+        operator: "_Operator",
         depth: Float64Array,
         load: Float64Array,
         given_tolerance: float | None,
@@ -188,7 +193,7 @@ class MaskedSolver:
         most = self._most_iterations if given_most is None else given_most
         direction, product = np.zeros(depth.shape, np.float32), np.zeros(depth.shape)
         scaled, sums = np.empty(self._inside.shape, np.float32), np.zeros(len(depth))
-        _apply_known(right, down, known_weight, depth, product, sums)
+        operator.apply(depth, product, sums)
         residual = load - product
         scale = _energy(depth, load)
         largest = _largest(residual) or 1.0
@@ -207,7 +212,7 @@ class MaskedSolver:
                 if left <= tolerance**2 * scale:
                     return
             _advance(direction, correction, energy / previous)
-            _apply_known(right, down, known_weight, direction, product, sums)
+            operator.apply(direction, product, sums)
             step = energy / float(sums.sum())
             self.iterations += 1
         if given_most is not None:
@@ -226,6 +231,12 @@ class MaskedSolver:
         solution *= self._outside_negative
         return solution
 
+    def _flat_padded(self, places: Int64Array) -> Int64Array:
+        """Return flat indices (n,) of rows and columns (n, 2) in an image with a rim."""
+        rows, columns = self._box
+        width = self._inside.shape[1] + 2
+        return (places[:, 0] - rows.start + 1) * width + places[:, 1] - columns.start + 1
+
     def _padded(self, image: FloatArray) -> FloatArray:
         """Crop to the box and put a rim of zeros around, so that no kernel asks for a border."""
         height, width = self._inside.shape
@@ -235,16 +246,36 @@ class MaskedSolver:
         return out
 
 
-def _apply_known(
-    right: Float32Array, down: Float32Array, known_weight: FloatArray | None, x: FloatArray,
-    out: Float64Array, sums: Float64Array,
-) -> None:  # fmt: skip
-    """`_apply` of edges and of known depths."""
-    _apply(right, down, x, out, sums)
-    if known_weight is not None:
-        known_part = known_weight * x
-        out += known_part
-        sums += np.einsum("vu,vu->v", known_part, x)
+class _Operator(NamedTuple):
+    """The matrix A of the normal equations, over images with a rim of zeros.
+
+    right, down: weights of edges. known_weight: of known depths. far: pixels (n,) that edges between pixels
+    apart lead from and to, as flat indices, and their weights.
+    """
+
+    right: Float32Array
+    down: Float32Array
+    known_weight: FloatArray | None = None
+    far: tuple[Int64Array, Int64Array, FloatArray] | None = None
+
+    def apply(self, x: FloatArray, out: Float64Array, sums: Float64Array) -> None:
+        """Fill out with A x; sums (h,), which add up to x · A x."""
+        _apply(self.right, self.down, x, out, sums)
+        if self.known_weight is not None:
+            known_part = self.known_weight * x
+            out += known_part
+            sums += np.einsum("vu,vu->v", known_part, x)
+        if self.far is not None:
+            first, last, weight = self.far
+            difference = x.ravel()[last] - x.ravel()[first].astype(np.float64)
+            _spread(first, last, weight * difference, out.reshape(-1))
+            sums[1] += np.einsum("n,n,n->", weight, difference, difference)
+
+
+def _spread(first: Int64Array, last: Int64Array, values: FloatArray, out: Float64Array) -> None:
+    """Add values (n,) to the pixels that edges lead to, and take them from those they lead from."""
+    np.add.at(out, last, values)
+    np.subtract.at(out, first, values)
 
 
 def _energy(first: Float64Array, second: Float64Array) -> float:
