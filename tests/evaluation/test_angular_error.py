@@ -22,6 +22,10 @@ def test_a_rotation_about_a_normal_axis_is_its_angle(angle_deg: float, rng: np.r
     assert angles_deg(start, turned) == pytest.approx(angle_deg, rel=1e-7)
 
 
+def test_a_normal_that_was_not_found_is_as_far_from_all_others() -> None:
+    assert angles_deg(np.zeros(3), np.array([0.0, 0.0, -1.0])) == 90.0
+
+
 def test_only_common_pixels_count(rng: np.random.Generator) -> None:
     normals = unit_vectors(rng, 4, 6)
     flipped = normals.copy()

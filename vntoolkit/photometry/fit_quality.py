@@ -14,10 +14,13 @@ _SHARE_IN_CONE = 95.0
 
 
 def angles_deg(first: Vectors, second: Vectors) -> FloatArray:
-    """Angle in degrees between corresponding vectors of any length, (..., 3) each; exact near 0."""
+    """Angle in degrees between corresponding vectors of any length, (..., 3) each; exact near 0.
+
+    90 where one of them is 0, as a normal is that was not found.
+    """
     first, second = np.asarray(first, np.float64), np.asarray(second, np.float64)
-    cross = np.linalg.norm(np.cross(first, second), axis=-1)
-    return np.rad2deg(np.arctan2(cross, np.sum(first * second, axis=-1)))
+    across, along = np.linalg.norm(np.cross(first, second), axis=-1), np.sum(first * second, axis=-1)
+    return np.where((across == 0) & (along == 0), 90.0, np.rad2deg(np.arctan2(across, along)))
 
 
 def cone_of_normals_deg(normals: Points) -> float:
