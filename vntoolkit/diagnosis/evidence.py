@@ -9,7 +9,6 @@ import cv2
 import numpy as np
 
 from vntoolkit.arrays import Array, BoolArray, ByteArray, Float32Array, FloatArray, Int64Array, Mask, Matrix3
-from vntoolkit.geometry.rays import pixel_rays
 from vntoolkit.photometry import transfer as transfers
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.rig import Rig
@@ -56,7 +55,10 @@ class Evidence:
     @cached_property
     def directions(self) -> Float32Array:
         """(h, w, 3) viewing rays with z = 1; (0, 0, 1) everywhere for an orthographic camera."""
-        return pixel_rays(self.rig.camera, self.positions_px)[1].astype(np.float32)
+        ones = np.ones(self.light.shape[1:3])
+        if not self.rig.camera.is_perspective:
+            return np.multiply.outer(ones, [0.0, 0.0, 1.0]).astype(np.float32)
+        return self.rig.camera.unproject(self.positions_px, ones).astype(np.float32)
 
     @cached_property
     def inverse(self) -> Float32Array:
