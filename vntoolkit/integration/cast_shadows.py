@@ -141,23 +141,23 @@ def _cast_upon(
 
     Normals in the dark are poor, and each alone may be wrong. A shadow's far part, towards where it ends, is
     cast and its near part is where the surface turned from the lamp: every line towards the lamp is divided
-    where most of its pixels agree.
+    where most of its pixels agree. A pixel takes the answer of the first line that meets it.
     """
     h, w = mask.shape
-    out = np.zeros((h, w), np.bool_)
+    out, is_done = np.zeros((2, h, w), np.bool_)
     for v in range(h):
         for u in range(w):
-            if not mask[v, u] or labels[v, u] & bit:
+            if is_done[v, u] or not _is_dark(labels, bit, mask, v, u):
                 continue
             step_u, step_v, _, rise = _way(affine, perspective, lamp, v, u)
             if rise <= np.float32(0.0):
                 continue
-            back = 0
+            first = 0
             while _is_dark(
-                labels, bit, mask, _nearest(v - (back + 1) * step_v), _nearest(u - (back + 1) * step_u)
+                labels, bit, mask, _nearest(v + (first - 1) * step_v), _nearest(u + (first - 1) * step_u)
             ):
-                back += 1
-            score, best, divide, i = 0, 0, 0, -back
+                first -= 1
+            score, best, divide, i = 0, 0, first, first
             while True:
                 y, x = _nearest(v + i * step_v), _nearest(u + i * step_u)
                 if not _is_dark(labels, bit, mask, y, x):
@@ -165,8 +165,11 @@ def _cast_upon(
                 i += 1
                 score += 1 if _cosine(normals, lamp, y, x) > _FACING else -1
                 if score > best:
-                    best, divide = score, i + back
-            out[v, u] = back < divide
+                    best, divide = score, i
+            for k in range(first, i):
+                y, x = _nearest(v + k * step_v), _nearest(u + k * step_u)
+                if not is_done[y, x]:
+                    out[y, x], is_done[y, x] = k < divide, True
     return out
 
 
