@@ -16,6 +16,7 @@ from vntoolkit.tracking.template import TrackingTemplate
 _ROUNDS = 8  # of reweighting in the fit of one body
 _RIDGE = np.array([0.1, 0.1, 0.1, 1e-3])  # in measured nodes, by unit coordinates
 _LEAST_SCALE_PX = 1.0  # of the fit's residuals; closer fits are not worth more
+_SIGMAS = 1.5  # of a normal distribution in the median of its size
 
 
 class BodyMotion:
@@ -48,7 +49,6 @@ def _robust_fit(points: FloatArray, values: FloatArray, weight: FloatArray) -> n
         motion = np.linalg.solve(points.T @ weighted + np.diag(_RIDGE), weighted.T @ values)
         u, v = (values - points @ motion).T
         residual = np.sqrt(u * u + v * v)  # twenty times as fast as a norm over an axis of two
-        # the deviation, by the median of the sizes
-        usual = 1.5 * float(np.median(residual[counted])) if counted.any() else 0.0
-        trust = weight / (1.0 + (residual / max(_LEAST_SCALE_PX, usual)) ** 2)
+        usual = float(np.median(residual[counted])) if counted.any() else 0.0
+        trust = weight / (1.0 + (residual / max(_LEAST_SCALE_PX, _SIGMAS * usual)) ** 2)
     return np.asarray(motion)
