@@ -16,10 +16,10 @@ from pathlib import Path
 
 import numpy as np
 
-from vntoolkit.arrays import FloatArray
 from vntoolkit.materials.labelling import LabelState, MaterialLabeller
 from vntoolkit.materials.search import find_materials, searched_frames
 from vntoolkit.normals.inversion import normals_from_frame
+from vntoolkit.photometry.fit_quality import angles_deg
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.pipeline.evaluate import read_object
@@ -59,12 +59,8 @@ def painted_error(folder: Path, count: int, bits: int, seed: int) -> tuple[float
         LinearFrame(rgb=known.astype(np.float32)),
     ):
         result = normals_from_frame(seen, RESPONSE, mask)
-        errors.append(_angles_deg(result.normals_in_camera, normals)[lit & result.mask].mean())
+        errors.append(angles_deg(result.normals_in_camera, normals)[lit & result.mask].mean())
     return float(errors[0]), float(errors[1]), len(found)
-
-
-def _angles_deg(one: FloatArray, other: FloatArray) -> FloatArray:
-    return np.degrees(np.arccos(np.clip((one * other).sum(axis=-1), -1.0, 1.0)))
 
 
 def parser_of_objects(description: str | None) -> argparse.ArgumentParser:

@@ -20,7 +20,6 @@ import cv2
 import numpy as np
 
 from recipes.real_objects import CAPTURES, ReferencedCapture, read_capture
-from vntoolkit.evaluation.angular_error import angles_between_deg
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.integration.integrate import DepthIntegrator
@@ -30,6 +29,7 @@ from vntoolkit.normals.inversion import normals_from_frame
 from vntoolkit.options.depth import IntegrationOptions, Integrator
 from vntoolkit.options.normals import RecoveryMethod, ShadowMethod
 from vntoolkit.options.simulation import Nuisances, SceneOptions
+from vntoolkit.photometry.fit_quality import angles_deg
 from vntoolkit.photometry.frame import LinearFrame, count_lit, lit_from_labels
 from vntoolkit.photometry.levelling import Leveller
 from vntoolkit.shadows.detector import ShadowDetector
@@ -62,7 +62,7 @@ def recovered(capture: ReferencedCapture, labels, method: RecoveryMethod, camera
 
 
 def errors(capture: ReferencedCapture, found: NormalMap) -> str:
-    angles = angles_between_deg(found.normals_in_camera, capture.normals)
+    angles = angles_deg(found.normals_in_camera, capture.normals)
     lights, both = count_lit(capture.labels), capture.mask & found.mask
     groups = {"all": both} | {
         name: both & (lights == count) for name, count in (("lit", 3), ("one shadow", 2))

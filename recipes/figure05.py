@@ -15,13 +15,13 @@ from pathlib import Path
 
 import numpy as np
 
-from vntoolkit.evaluation.angular_error import angles_between_deg
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, NormalMap
 from vntoolkit.integration.integrate import DepthIntegrator
 from vntoolkit.meshing.surface import mesh_from_depth
 from vntoolkit.normals.inversion import normals_from_frame
 from vntoolkit.options.simulation import Nuisances, SceneOptions
+from vntoolkit.photometry.fit_quality import angles_deg
 from vntoolkit.photometry.frame import count_lit
 from vntoolkit.report import pictures
 from vntoolkit.report.mesh_views import View, picture_of
@@ -105,7 +105,7 @@ def main(out: Path, scene_name: str = "face") -> None:
         depth = DepthIntegrator(scene.camera).integrate(normals)
         mask = truth.normals.mask & depth.mask
         recoveries[f"{name}, {TITLES[name]}"] = (normals, depth)
-        angles = angles_between_deg(normals.normals_in_camera, truth.normals.normals_in_camera)
+        angles = angles_deg(normals.normals_in_camera, truth.normals.normals_in_camera)
         here, one_shadow = f"{scene_name}, {TITLES[name]}", mask & (count_lit(truth.labels) == 2)
         depth_mm = depth_error_mm(depth.depth[mask], truth.depth.depth[mask])
         numbers += [

@@ -14,12 +14,13 @@ from pathlib import Path
 import numpy as np
 
 from vntoolkit.arrays import Matrix3
-from vntoolkit.evaluation.angular_error import angles_between_deg, compare_normals
+from vntoolkit.evaluation.angular_error import compare_normals
 from vntoolkit.geometry.board_layout import BoardLayout
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.normals.inversion import normals_from_frame
 from vntoolkit.options.calibration import BoardOptions
 from vntoolkit.options.simulation import Nuisances, SceneOptions
+from vntoolkit.photometry.fit_quality import angles_deg
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.pipeline.calibrate import CalibrationJob, calibrate_board
 from vntoolkit.pipeline.calibrate_head import calibrate_head
@@ -54,7 +55,7 @@ def main(out: Path, size: tuple[int, int] = (960, 720), step: int = 2) -> None:
             responses = [LightResponse(matrix=m) for m in (scaled(head, other), other)]
             found = [normals_from_frame(rendered.linear, each, truth.mask) for each in responses]
             normals = [each.normals_in_camera[found[0].mask & found[1].mask] for each in found]
-            apart[name].append(float(angles_between_deg(*normals).mean()))
+            apart[name].append(float(angles_deg(*normals).mean()))
             errors += [[compare_normals(each, truth).median_deg for each in found]]
     what, medians = "made-up face, ", np.mean(errors[::2], axis=0)
     numbers = [

@@ -24,7 +24,7 @@ import numpy as np
 
 from vntoolkit.arrays import FloatArray, Mask, Normals, VisibilityLabels
 from vntoolkit.errors import BadInput
-from vntoolkit.evaluation.angular_error import AngularError, angles_between_deg, summarise_angles
+from vntoolkit.evaluation.angular_error import AngularError, summarise_angles
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.io.atomic import write_text
 from vntoolkit.io.files import read_bytes, require_file
@@ -32,6 +32,7 @@ from vntoolkit.io.footage.images import read_image
 from vntoolkit.io.maps_and_meshes.masks import read_mask
 from vntoolkit.normals.expected_error import with_expected_error
 from vntoolkit.normals.inversion import normals_from_frame
+from vntoolkit.photometry.fit_quality import angles_deg
 from vntoolkit.photometry.frame import LinearFrame, count_lit, labels_from_lit
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.report.figures import write_bars
@@ -103,13 +104,13 @@ class ReferencedCapture:
 
         Groups without a pixel are left out. Raises `BadInput` where the maps share no pixel.
         """
-        angles = angles_between_deg(found.normals_in_camera, self.normals)
+        angles = angles_deg(found.normals_in_camera, self.normals)
         return {name: summarise_angles(angles[group]) for name, group in self._groups(found).items()}
 
     def bounds_by_lights(self, found: NormalMap) -> dict[str, tuple[float, float]]:
         """Return the share of angles within the expected error, and its mean over their 90th percentile."""
         assert found.error_deg is not None
-        angles = angles_between_deg(found.normals_in_camera, self.normals)
+        angles = angles_deg(found.normals_in_camera, self.normals)
         bounds = {}
         for name, group in self._groups(found).items():
             true, said = angles[group], found.error_deg[group]

@@ -36,7 +36,6 @@ Vectors: TypeAlias = Annotated[FloatArray, "... 3"]
 Faces: TypeAlias = Annotated[npt.NDArray[np.int32], "m 3: vertex indices, counter-clockwise from outside"]
 Colours: TypeAlias = Annotated[npt.NDArray[np.float32], "n 3: RGB from 0 to 1"]
 Matrix3: TypeAlias = Annotated[FloatArray, "3 3: float64"]
-Matrix4: TypeAlias = Annotated[FloatArray, "4 4: float64"]
 Vector3: TypeAlias = Annotated[FloatArray, "3: float64"]
 
 Box: TypeAlias = tuple[slice, slice]
@@ -50,9 +49,11 @@ def read_only(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
     return view
 
 
-def box_of(mask: Mask) -> Box:
-    """Return the rows and the columns that a mask reaches over; nothing where it is empty."""
-    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
-    if not len(rows):
-        return slice(0, 0), slice(0, 0)
-    return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
+def box_of(mask: Mask, margin_px: int = 0) -> Box:
+    """Return rows and columns that a mask reaches over, with a margin; of an empty one the margin at 0, 0."""
+    sides = []
+    for axis, length in enumerate(mask.shape):
+        used = np.flatnonzero(mask.any(axis=1 - axis))
+        first, end = (int(used[0]), int(used[-1]) + 1) if len(used) else (0, 0)
+        sides.append(slice(max(0, first - margin_px), min(length, end + margin_px)))
+    return sides[0], sides[1]

@@ -6,12 +6,12 @@ import inspect
 import math
 import types
 import typing
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
 
-from vntoolkit.arrays import Array, BoolArray
+from vntoolkit.arrays import Array, BoolArray, DTypeLike, read_only
 from vntoolkit.errors import BadInput
 
 _PACKAGE = "vntoolkit."
@@ -40,6 +40,28 @@ def require_shape(
         raise error(f"{name}: expected shape {want}, got {have}")
 
 
+def set_arrays(
+    holder: object,
+    shapes: Mapping[str, tuple[int | None, ...]],
+    *,
+    called: str = "{}",
+    dtype: DTypeLike | None = None,
+    error: type[BadInput] = BadInput,
+) -> None:
+    """Check that arrays of a frozen object are finite and of their shape, and make its fields read-only.
+
+    shapes: by field; one that is None stays. called: what a message calls a field. dtype: of the copies that
+    are kept; None for the arrays themselves.
+    """
+    for name, shape in shapes.items():
+        given = getattr(holder, name)
+        if given is not None:
+            array = np.asarray(given) if dtype is None else np.array(given, dtype)
+            require_shape(array, shape, called.format(name), error)
+            require_finite(array, called.format(name), error)
+            object.__setattr__(holder, name, read_only(array))
+
+
 def require_mask(mask: Array, shape: tuple[int, ...]) -> None:
     """Raise unless `mask` has `shape` and holds booleans: integers 0 and 255 would index differently."""
     if mask.dtype != np.bool_:
@@ -54,28 +76,21 @@ def checks_kinds(function: Callable[P, R]) -> Callable[P, R]:
     object of the package, is none. numpy converts the rest.
     """
     signature = inspect.signature(function)
-    kinds: dict[str, tuple[type, bool]] = {}
+    called = function.__qualname__.removesuffix(".__init__").rpartition(".")[2]  # as a caller writes it
 
     @functools.wraps(function)
     def checked(*given: P.args, **named: P.kwargs) -> R:
-        if not kinds:
-            kinds.update(_kinds_of(function))
         with contextlib.suppress(TypeError):  # an argument too many or too few: the call tells
             for name, value in signature.bind(*given, **named).arguments.items():
-                kind, may_be_none = kinds.get(name, (object, True))
+                kind, may_be_none = _kinds_of(function).get(name, (object, True))
                 if not (value is None and may_be_none) and not _is_of_kind(value, kind):
-                    raise BadInput(_wrong_kind(f"{_called(function)}: {name}", kind, value))
+                    raise BadInput(_wrong_kind(f"{called}: {name}", kind, value))
         return function(*given, **named)
 
     return checked
 
 
-def _called(function: Callable[..., Any]) -> str:
-    """Return what a caller writes: the class for its constructor, else the function."""
-    *owner, name = function.__qualname__.split(".")
-    return owner[-1] if name == "__init__" else name
-
-
+@functools.cache
 def _kinds_of(function: Callable[..., Any]) -> dict[str, tuple[type, bool]]:
     found: dict[str, tuple[type, bool]] = {}
     hints = typing.get_type_hints(function)
@@ -87,7 +102,7 @@ def _kinds_of(function: Callable[..., Any]) -> dict[str, tuple[type, bool]]:
         is_ours = isinstance(kind, type) and kind.__module__.startswith(_PACKAGE)
         if len(wanted) == 1 and (is_ours or kind is np.ndarray):
             found[name] = (kind, len(wanted) < len(members))
-    return found or {"": (object, True)}
+    return found
 
 
 def _origin(hint: Any) -> Any:
@@ -146,9 +161,3 @@ def require_positive(value: float, name: str) -> None:
     """Raise unless value is a finite number above 0."""
     if not 0 < value < math.inf:
         raise BadInput(f"{name}: expected a positive number, got {value:g}")
-
-
-def require_in_range(value: float, low: float, high: float, name: str) -> None:
-    """Raise unless low <= value <= high."""
-    if not low <= value <= high:
-        raise BadInput(f"{name}: expected a value from {low:g} to {high:g}, got {value:g}")

@@ -11,7 +11,7 @@ from vntoolkit.arrays import BoolArray, ByteArray, FloatArray
 
 _LARGEST_PX = 360
 _LIT_FROM = np.array([-0.4, -0.5, -0.77])  # of the picture of a surface: from the upper left
-_EXPONENT = 1 / 2.2  # roughly the curve of a screen
+SCREEN_GAMMA = 2.2  # roughly the curve of a screen
 
 Picture = ByteArray
 Facts = Mapping[str, str]
@@ -59,7 +59,7 @@ def share_of(mask: BoolArray) -> str:
 
 def picture_of_light(rgb: FloatArray) -> Picture:
     """Show linear colours (h, w, 3), full scale = 1."""
-    return _bytes(np.clip(rgb, 0.0, 1.0) ** _EXPONENT)
+    return _bytes(np.clip(rgb, 0.0, 1.0) ** (1 / SCREEN_GAMMA))
 
 
 def picture_of_normals(normals: FloatArray, mask: BoolArray) -> Picture:

@@ -144,23 +144,16 @@ def require_address_space(size: int, name: str) -> None:
 
 
 def _import(module: str, libraries: dict[str, str]) -> Any:
-    if module not in sys.modules:
-        missing = missing_libraries(libraries)
-        if missing:
-            raise MissingDependency(
-                f"{module} needs {', '.join(missing)}, which this system lacks: {remedy(missing)}"
-            )
+    missing = {} if module in sys.modules else missing_libraries(libraries)
     try:
-        return importlib.import_module(module)
+        if not missing:
+            return importlib.import_module(module)
     except ImportError as error:
-        named = libraries_named_in(str(error))
-        if named:
-            raise MissingDependency(
-                f"{module} needs {', '.join(named)}, which this system lacks: {remedy(named)}"
-            ) from error
-        raise MissingDependency(f"cannot import {module} ({error}): {_reinstalling(module)}") from error
-
-
-def _reinstalling(module: str) -> str:
-    name = open3d_distribution()[0] if module == "open3d" else module
-    return f"pip install --force-reinstall {name}"
+        missing = libraries_named_in(str(error))
+        if not missing:
+            name = open3d_distribution()[0] if module == "open3d" else module
+            reinstall = f"pip install --force-reinstall {name}"
+            raise MissingDependency(f"cannot import {module} ({error}): {reinstall}") from error
+    raise MissingDependency(
+        f"{module} needs {', '.join(missing)}, which this system lacks: {remedy(missing)}"
+    )

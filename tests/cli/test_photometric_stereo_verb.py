@@ -6,9 +6,9 @@ import pytest
 from vntoolkit.cli import run_verb
 from vntoolkit.cli.photometric_stereo import photometric_stereo
 from vntoolkit.errors import BadInput
-from vntoolkit.evaluation.angular_error import angles_between_deg
 from vntoolkit.io.footage.image_writing import write_png
 from vntoolkit.io.maps_and_meshes.masks import write_mask
+from vntoolkit.photometry.fit_quality import angles_deg
 
 SIZE, COUNT, NOISE = 64, 12, 0.004
 
@@ -44,7 +44,7 @@ def test_normals_their_errors_and_what_integrate_makes_of_them(tmp_path, rng):
     found = photometric_stereo(folder, lights=folder / "lights.txt", out=out)
     assert found.mask.sum() > 0.98 * mask.sum()
     both = found.mask & mask
-    angles = angles_between_deg(found.normals_in_camera[both], normals[both])
+    angles = angles_deg(found.normals_in_camera[both], normals[both])
     assert angles.mean() < 0.5
     assert 0.8 < np.mean(angles < found.error_deg[both]) < 0.99
     run_verb(["integrate", str(out), "--out", str(tmp_path / "result"), "--to", "depth"])

@@ -2,9 +2,10 @@ import numpy as np
 import pytest
 
 from vntoolkit.errors import BadInput
-from vntoolkit.evaluation.angular_error import angles_between_deg, compare_normals, summarise_angles
+from vntoolkit.evaluation.angular_error import compare_normals, summarise_angles
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.geometry.rigid import RigidTransform
+from vntoolkit.photometry.fit_quality import angles_deg
 
 
 def unit_vectors(rng: np.random.Generator, *shape: int) -> np.ndarray:
@@ -18,7 +19,11 @@ def test_a_rotation_about_a_normal_axis_is_its_angle(angle_deg: float, rng: np.r
     start = np.cross(axis, unit_vectors(rng))
     start /= np.linalg.norm(start)
     turned = RigidTransform.from_rotation_vector(axis * np.deg2rad(angle_deg)).rotate(start)
-    assert angles_between_deg(start, turned) == pytest.approx(angle_deg, rel=1e-7)
+    assert angles_deg(start, turned) == pytest.approx(angle_deg, rel=1e-7)
+
+
+def test_a_normal_that_was_not_found_is_as_far_from_all_others() -> None:
+    assert angles_deg(np.zeros(3), np.array([0.0, 0.0, -1.0])) == 90.0
 
 
 def test_only_common_pixels_count(rng: np.random.Generator) -> None:

@@ -94,7 +94,7 @@ REFUSALS = [
     (lambda: RigidTransform.from_matrix(np.eye(3)), BadInput, "translation: expected shape 3, got 0"),
     (lambda: RigidTransform(rotation=np.diag([1.0, 1, -1])), BadInput, "orthonormal"),
     (lambda: RigidTransform(rotation=2 * np.eye(3)), BadInput, "orthonormal"),
-    (lambda: RigidTransform(rotation=UNKNOWN), BadInput, "orthonormal"),
+    (lambda: RigidTransform(rotation=UNKNOWN), BadInput, "rotation: 9 of 9 values are NaN"),
     (lambda: skeleton("abc", [-1, 2, 1]), BadMotion, "parent must come before"),
     (lambda: skeleton("aa", [-1, 0]), BadMotion, "every joint name once"),
     (lambda: skeleton("ab", [-1, -1]), BadMotion, "one root"),

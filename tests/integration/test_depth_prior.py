@@ -4,9 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from analytic_surfaces import normals_from_gradient, peaks, sphere_before_camera
+from analytic_surfaces import sphere_before_camera
 
 from vntoolkit.errors import BadInput
+from vntoolkit.evaluation.depth_error import normals_from_gradient, peaks
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import LengthUnit, NormalMap
 from vntoolkit.integration.expected_error import with_expected_depth_error

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from tests.integration.analytic_surfaces import peaks
 from vntoolkit.errors import BadInput
+from vntoolkit.evaluation.depth_error import peaks
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import NOISE_CELL_PX, NormalMap
 from vntoolkit.integration.expected_error import with_expected_depth_error

@@ -4,9 +4,9 @@ import tracemalloc
 
 import numpy as np
 import pytest
-from analytic_surfaces import peaks
 
 from vntoolkit.errors import BadInput
+from vntoolkit.evaluation.depth_error import peaks
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
 from vntoolkit.integration import integrate

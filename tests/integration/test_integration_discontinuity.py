@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
-from analytic_surfaces import largest_error, peaks, sphere_before_camera, tear
+from analytic_surfaces import largest_error, sphere_before_camera
 
+from vntoolkit.evaluation.depth_error import peaks, tear
 from vntoolkit.geometry.camera import Camera, CameraModel
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.integration.edges import chords_from_slopes

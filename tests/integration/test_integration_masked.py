@@ -4,9 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from analytic_surfaces import disc_with_hole, largest_error, normals_from_gradient, peaks
+from analytic_surfaces import largest_error
 
 from vntoolkit.errors import SolverFailed
+from vntoolkit.evaluation.depth_error import disc_with_hole, normals_from_gradient, peaks
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.integration.edges import EdgeField, FarEdges, edges_from_slopes

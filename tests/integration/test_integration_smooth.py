@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
-from analytic_surfaces import largest_error, normals_from_gradient, peaks, sphere_before_camera
+from analytic_surfaces import largest_error, sphere_before_camera
 
 from vntoolkit.errors import BadInput
+from vntoolkit.evaluation.depth_error import normals_from_gradient, peaks
 from vntoolkit.geometry.camera import Camera, CameraModel
 from vntoolkit.geometry.maps import LengthUnit, NormalMap
 from vntoolkit.integration.integrate import DepthIntegrator, divergence_from_slopes

@@ -6,6 +6,7 @@ import pytest
 from vntoolkit.errors import BadInput
 from vntoolkit.normals.inversion import normals_from_frame, relative_albedo_from_frame
 from vntoolkit.options.normals import ClippedPixels, InversionOptions
+from vntoolkit.photometry.fit_quality import angles_deg
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse, rgb_from_normals
 
@@ -24,10 +25,6 @@ def normals_near_the_axis(rng: np.random.Generator, shape: tuple[int, int], spre
 def frame_of(rgb, clipped=None) -> LinearFrame:
     clipped = np.zeros(rgb.shape[:2], bool) if clipped is None else clipped
     return LinearFrame(rgb=rgb.astype(np.float32), clipped=clipped)
-
-
-def angles_deg(a, b):
-    return np.rad2deg(np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), np.sum(a * b, axis=-1)))
 
 
 def test_inversion_undoes_the_forward_model(rng) -> None:

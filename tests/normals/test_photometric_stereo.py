@@ -6,6 +6,7 @@ from vntoolkit.normals.photometric_stereo import (
     normals_from_lights,
     solve_photometric_stereo,
 )
+from vntoolkit.photometry.fit_quality import angles_deg
 
 SIZE = 64
 
@@ -28,10 +29,6 @@ def sphere():
     inside = x**2 + y**2 < 0.96
     z = -np.sqrt(np.where(inside, 1 - x**2 - y**2, 1))
     return np.stack([x, y, z], axis=-1) * inside[..., None], inside
-
-
-def angles_deg(a, b):
-    return np.rad2deg(np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), np.sum(a * b, axis=-1)))
 
 
 def test_sphere_with_attached_shadow_is_exact() -> None:

@@ -8,7 +8,6 @@ import pytest
 from tests.attached_shadow import shaded_rgb_from_normals
 from tests.drawn_gel import press_on_ball
 from vntoolkit.__main__ import main
-from vntoolkit.evaluation.angular_error import angles_between_deg
 from vntoolkit.io.footage.captures import open_capture
 from vntoolkit.io.footage.image_writing import write_png
 from vntoolkit.io.footage.images import read_image
@@ -19,6 +18,7 @@ from vntoolkit.io.rigs import read_rig
 from vntoolkit.normals.inversion import normals_from_frame
 from vntoolkit.normals.photometric_stereo import normals_from_lights
 from vntoolkit.options.reconstruction import Product, ReconstructOptions
+from vntoolkit.photometry.fit_quality import angles_deg
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.transfer import Transfer, encoded_from_linear, linear_from_integers
@@ -159,7 +159,7 @@ def test_real_sphere_then_buddha_and_cat(real_data, tmp_path, with_mask) -> None
         lit = (image > 0.05 * np.percentile(image[mask], 99, axis=0)).all(axis=2)
         both = normals.mask & reference.mask & lit
         assert both.sum() > 0.8 * mask.sum()
-        error = angles_between_deg(normals.normals_in_camera[both], reference.normals_in_camera[both])
+        error = angles_deg(normals.normals_in_camera[both], reference.normals_in_camera[both])
         assert np.median(error) < 6.5
 
 
@@ -230,5 +230,5 @@ def test_the_response_of_the_gel_predicts_presses_not_seen(real_data, tmp_path) 
         ball_px = options.ball_radius_mm / options.side_mm
         truth, distance = press_on_ball(found.shape, *centre, ball_px)
         touched = distance < CONTACT_SHARE * radius
-        errors.append(angles_between_deg(found.normals_in_camera[touched], truth[touched]))
+        errors.append(angles_deg(found.normals_in_camera[touched], truth[touched]))
     assert np.median(np.concatenate(errors)) < 6.8  # M alone: 9; normals without any error: 6.15

@@ -18,7 +18,6 @@ from tests.result_files import read_point_cloud
 from tests.skinning.test_glb_export import accessor, chunks
 from tests.usd_reading import complaints
 from vntoolkit.errors import BadInput
-from vntoolkit.evaluation.angular_error import angles_between_deg
 from vntoolkit.evaluation.mesh_comparison import mesh_distance
 from vntoolkit.geometry.mesh import face_normals
 from vntoolkit.io.conventions import graphics_from_camera
@@ -40,6 +39,7 @@ from vntoolkit.options.export import (
     NormalConvention,
 )
 from vntoolkit.options.tracking import TrackArguments
+from vntoolkit.photometry.fit_quality import angles_deg
 from vntoolkit.pipeline.export import export
 from vntoolkit.pipeline.track import track
 from vntoolkit.progress import heard_by
@@ -159,7 +159,7 @@ def test_normal_maps_keep_to_the_convention(dome_result, tmp_path, convention):
     out = exported(dome_result, tmp_path / "png", ExportFormat.PNG, normal_convention=convention)
     back = read_normal_map(out / "000001.png", convention=convention)
     assert np.array_equal(back.mask, truth.mask)
-    angles = angles_between_deg(back.normals_in_camera[back.mask], truth.normals_in_camera[back.mask])
+    angles = angles_deg(back.normals_in_camera[back.mask], truth.normals_in_camera[back.mask])
     assert angles.max() < 0.01
     green = read_image_with_alpha(out / "000001.png")[0][..., 1]  # the top of a dome points up
     v, u = np.nonzero(truth.mask)
@@ -192,7 +192,7 @@ def test_a_diligent_folder_gives_the_normals_by_classical_stereo(dome_result, tm
     normal_map = normals_from_lights(images, lights.directions, mask)
     truth = read_normal_map(dome_result.folder / "normals/000001.exr")
     both = normal_map.mask & truth.mask
-    angles = angles_between_deg(normal_map.normals_in_camera[both], truth.normals_in_camera[both])
+    angles = angles_deg(normal_map.normals_in_camera[both], truth.normals_in_camera[both])
     assert both.sum() > 0.95 * mask.sum()
     assert np.median(angles) < 0.1  # the rig's own material, no shadow on most of the dome
     assert (folder / "Normal_est.mat").exists()

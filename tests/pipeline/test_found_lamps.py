@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 import vntoolkit as vt
-from vntoolkit.evaluation.angular_error import angles_between_deg
 from vntoolkit.io.results.manifest import read_manifest, rig_of_result
 from vntoolkit.io.rigs import read_rig, write_rig
+from vntoolkit.photometry.fit_quality import angles_deg
 from vntoolkit.pipeline.opened_result import read_result
 from vntoolkit.pipeline.truth_comparison import true_normals
 
@@ -28,7 +28,7 @@ def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def mean_error_deg(film: Path, result: Path) -> float:
     found, truth = read_result(result).normals(0), true_normals(film / "film", 0)
     both = found.mask & truth.mask
-    return float(angles_between_deg(found.normals_in_camera[both], truth.normals_in_camera[both]).mean())
+    return float(angles_deg(found.normals_in_camera[both], truth.normals_in_camera[both]).mean())
 
 
 @pytest.mark.slow
@@ -48,7 +48,7 @@ def test_face_with_m_alone_is_as_good_as_with_the_lamps_colours(film: Path) -> N
     known = rig_of_result(read_manifest(film / "known")).response.light_colours
     assert colours is not None
     assert known is not None
-    turned = angles_between_deg(colours / np.linalg.norm(colours, axis=1, keepdims=True),
+    turned = angles_deg(colours / np.linalg.norm(colours, axis=1, keepdims=True),
                                 known / np.linalg.norm(known, axis=1, keepdims=True))  # fmt: skip
     assert turned.max() < 6.0
     doubts_deg = rig_of_result(read_manifest(film / "found")).response.light_doubts_deg
@@ -56,7 +56,7 @@ def test_face_with_m_alone_is_as_good_as_with_the_lamps_colours(film: Path) -> N
     assert 1.0 < doubts_deg.max() <= 4.0
     frame, truth = read_result(film / "found").normals(0), true_normals(film / "film", 0)
     both = frame.mask & truth.mask
-    off = angles_between_deg(frame.normals_in_camera[both], truth.normals_in_camera[both])
+    off = angles_deg(frame.normals_in_camera[both], truth.normals_in_camera[both])
     assert frame.error_deg is not None
     assert 0.86 < (off <= frame.error_deg[both]).mean() < 0.95
     assert rig_of_result(read_manifest(film / "alone")).response.light_colours is None
@@ -86,7 +86,7 @@ def test_sweater_of_few_shadows_is_told_by_several_frames(tmp_path: Path) -> Non
     )
     found = rig_of_result(read_manifest(tmp_path / "found")).response
     assert found.light_colours is not None
-    off = angles_between_deg(found.light_directions, rig.response.light_directions)
+    off = angles_deg(found.light_directions, rig.response.light_directions)
     assert found.light_doubts_deg is not None
     assert np.all(off < found.light_doubts_deg)
 

@@ -13,7 +13,6 @@ from tests.pipeline.test_reconstruct import digest
 from vntoolkit.diagnosis.finding import FatalFinding, Finding, Level
 from vntoolkit.diagnosis.inspection import Examination
 from vntoolkit.errors import BadInput
-from vntoolkit.evaluation.angular_error import angles_between_deg
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.io.footage.captures import Capture
 from vntoolkit.io.footage.decoding import EncodedFrame
@@ -27,6 +26,7 @@ from vntoolkit.io.results.manifest import MaterialEntry, ReconstructionFolder, r
 from vntoolkit.materials.search import Material, find_materials
 from vntoolkit.options.normals import ShadowMethod
 from vntoolkit.options.reconstruction import MaterialSearch, Product, ReconstructOptions
+from vntoolkit.photometry.fit_quality import angles_deg
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.rig import Rig
@@ -98,7 +98,7 @@ def test_moving_stripes_leave_no_seam(striped: Request) -> None:
         found = read_normal_map(striped.folder.file("normals", number))
         labels = nearest.argmin(axis=1)[read_materials(striped.folder.file("materials", number))]
         assert np.mean(labels[mask] == stripes(number)[mask]) > 0.98
-        assert angles_between_deg(found.normals_in_camera[mask], normals[mask]).mean() < 2.5
+        assert angles_deg(found.normals_in_camera[mask], normals[mask]).mean() < 2.5
 
 
 @pytest.mark.parametrize(("frames", "expected"), [(1, [0]), (2, [0, 1]), (4, [0, 1, 2]), (18, [0, 8, 16])])

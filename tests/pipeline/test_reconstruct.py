@@ -11,7 +11,6 @@ import pytest
 from tests.each_step import EachStep
 from tests.pipeline.conftest import DomeCapture
 from vntoolkit.errors import BadInput, BadMesh
-from vntoolkit.evaluation.angular_error import angles_between_deg
 from vntoolkit.io.footage.captures import open_capture
 from vntoolkit.io.footage.decoding import EncodedFrame
 from vntoolkit.io.footage.frame_range import FrameRange
@@ -23,6 +22,7 @@ from vntoolkit.io.results.frame_log import FrameLog
 from vntoolkit.io.results.manifest import ReconstructionFolder, read_manifest
 from vntoolkit.options.normals import ShadowMethod
 from vntoolkit.options.reconstruction import OnError, Product, ReconstructOptions
+from vntoolkit.photometry.fit_quality import angles_deg
 from vntoolkit.photometry.rig import FitQuality
 from vntoolkit.pipeline.frame_processor import Carried, FrameProcessor
 from vntoolkit.pipeline.reconstruct import blocks_of, reconstruct
@@ -66,7 +66,7 @@ def test_normals_depth_and_mesh_are_those_of_the_dome(dome_capture: DomeCapture,
     normal_map = read_normal_map(whole_run / f"normals/{number:06d}.exr")
     mask = dome_capture.masks[number]
     assert np.array_equal(normal_map.mask, mask)
-    angles = angles_between_deg(normal_map.normals_in_camera[mask], dome_capture.normals[number][mask])
+    angles = angles_deg(normal_map.normals_in_camera[mask], dome_capture.normals[number][mask])
     assert angles.max() < 0.1  # half floats are exact to 0.03 degrees, 16-bit samples to less
     depth_map = read_depth_map(whole_run / f"depth/{number:06d}.exr")
     truth = 40 * dome_capture.normals[number][..., 2][mask]  # a sphere's z is its radius times n_z

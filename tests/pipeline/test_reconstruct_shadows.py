@@ -7,13 +7,13 @@ import pytest
 
 from tests.pipeline.conftest import DomeCapture
 from tests.pipeline.test_reconstruct import digest, job_of
-from vntoolkit.evaluation.angular_error import angles_between_deg
 from vntoolkit.io.footage.image_writing import write_png
 from vntoolkit.io.maps_and_meshes.label_images import read_labels
 from vntoolkit.io.maps_and_meshes.maps import read_normal_map
 from vntoolkit.io.results.manifest import read_manifest
 from vntoolkit.options.normals import ShadowMethod
 from vntoolkit.options.reconstruction import Product
+from vntoolkit.photometry.fit_quality import angles_deg
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline.reconstruct import reconstruct
@@ -70,7 +70,7 @@ def test_normals_under_the_shadow_are_recovered(shadowed_capture, robust_run, tm
         angles = {}
         for run in (robust_run, plain_run):
             found = read_normal_map(run / f"normals/{number:06d}.exr").normals_in_camera
-            angles[run] = angles_between_deg(found, shadowed_capture.normals[number])
+            angles[run] = angles_deg(found, shadowed_capture.normals[number])
         assert angles[robust_run][dark & mask].mean() < 0.2 * angles[plain_run][dark & mask].mean()
         lit = mask & ~dark
         assert angles[robust_run][lit].mean() < angles[plain_run][lit].mean() + 0.2

@@ -87,6 +87,13 @@ def test_the_name_of_another_machine_is_refused_on_all_addresses_too() -> None:
         served.close()
 
 
+@pytest.mark.skipif(not socket.has_ipv6, reason="no IPv6 on this machine")
+def test_an_address_of_ipv6_is_listened_on() -> None:
+    served = LocalServer(ViewerOptions(host="::1", port=free_port()), "", {})
+    served.close()
+    assert served.address.startswith("http://[::1]:")
+
+
 def test_no_frame_and_no_foreign_script(server: LocalServer) -> None:
     connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=10)
     for path in (f"/?token={server.token}", "/nowhere", f"/packet?token={server.token}"):

@@ -79,7 +79,7 @@ def test_a_table_without_published_numbers_has_no_column_for_them(tmp_path: Path
 
 def test_bad_numbers_are_named(folder: Path) -> None:
     (folder / "numbers.json").write_text('[{"what": 1}]')
-    with pytest.raises(BadInput, match="expected the keys ours, paper, unit, what, got what"):
+    with pytest.raises(BadInput, match="expected the keys what, paper, ours, unit, got what"):
         read_numbers(folder)
     (folder / "numbers.json").write_text('{"what": 1}')
     with pytest.raises(BadInput, match="expected a list of objects"):

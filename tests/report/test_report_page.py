@@ -32,7 +32,7 @@ def page(dome_result: DomeResult, tmp_path_factory: pytest.TempPathFactory) -> P
     extra = PageSection(
         title="Compared with the truth",
         paragraphs=(SCRIPT,),
-        tables=(PageTable(headings=("what", "ours"), rows=(("mean error", "1.2°"),), numeric=True),),
+        tables=(PageTable(headings=("what", "ours"), rows=(("mean error", "1.2°"),), right=(1,)),),
     )
     assert write_report(dome_result.folder, out, ReportOptions(samples=2), extra=[extra]) == out
     return out

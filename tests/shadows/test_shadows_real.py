@@ -9,10 +9,10 @@ from _pytest.mark.structures import ParameterSet
 
 from recipes.real_objects import ReferencedCapture, read_capture
 from vntoolkit.arrays import VisibilityLabels
-from vntoolkit.evaluation.angular_error import angles_between_deg
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.normals.expected_error import with_expected_error
 from vntoolkit.options.normals import RecoveryMethod
+from vntoolkit.photometry.fit_quality import angles_deg
 from vntoolkit.photometry.frame import count_lit
 from vntoolkit.shadows.detector import ShadowDetector
 from vntoolkit.shadows.recovery import recover_normals
@@ -44,9 +44,7 @@ def test_found_shadows_are_recovered_on_photographs(real_data: Path, name: str) 
     inverted = recover_normals(
         capture.frame, labels, capture.response, capture.mask, method=RecoveryMethod.INVERSION
     )
-    recovered, plain = (
-        angles_between_deg(each.normals_in_camera, capture.normals) for each in (found, inverted)
-    )
+    recovered, plain = (angles_deg(each.normals_in_camera, capture.normals) for each in (found, inverted))
     one_shadow = capture.mask & (count_lit(capture.labels) == 2)
     lit = capture.mask & (count_lit(capture.labels) == 3)
     assert recovered[lit].mean() < 1.02 * plain[lit].mean()

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from vntoolkit.evaluation.angular_error import angles_between_deg
 from vntoolkit.normals.inversion import normals_from_frame
 from vntoolkit.options.normals import ShadowMethod
 from vntoolkit.options.simulation import Nuisances, SceneOptions
+from vntoolkit.photometry.fit_quality import angles_deg
 from vntoolkit.photometry.frame import count_lit, lit_from_labels
 from vntoolkit.photometry.levelling import Leveller
 from vntoolkit.shadows.detector import ShadowDetector
@@ -41,8 +41,7 @@ def test_shadows_are_found_and_halved(name: str) -> None:
     found = recover_normals(frame, labels, response, mask, camera=scene.camera)
     both, lights = mask & plain.mask, count_lit(truth.labels)
     errors = [
-        angles_between_deg(normals.normals_in_camera, truth.normals.normals_in_camera)
-        for normals in (plain, found)
+        angles_deg(normals.normals_in_camera, truth.normals.normals_in_camera) for normals in (plain, found)
     ]
     one_shadow, lit = both & (lights == 2), both & (lights == 3)
     assert 2 * errors[1][one_shadow].mean() < errors[0][one_shadow].mean()
@@ -65,6 +64,6 @@ def test_shadows_that_move_cost_a_running_video_nothing() -> None:
         found = recover_normals(
             leveller.frame(frame), labels, response.central, mask, camera=scene.camera, start=detector.surface
         )
-        angles = angles_between_deg(found.normals_in_camera, truth.normals.normals_in_camera)
+        angles = angles_deg(found.normals_in_camera, truth.normals.normals_in_camera)
         errors.append(angles[mask & (count_lit(truth.labels) == 2)].mean())
     assert max(errors[1:]) < errors[0] + 2.0

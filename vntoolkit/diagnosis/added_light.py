@@ -37,12 +37,13 @@ from vntoolkit.photometry.transfer import encoded_from_linear, linear_from_encod
 _DARKEST_PERCENT = 1.0  # of the picture: single pixels are noise's
 _SLOPES = (0.5, 1.6)  # above it the subject has more of it than the darkest place
 # A black backdrop proves no stretch. Its size is known: statues with deep folds have 1.4 ± 0.2 to 4.0 ± 0.3.
-_SLOPES_OF_STRETCH, _Z_OF_STRETCH = (0.8, 1.2), 8.0
+_SLOPES_OF_STRETCH = (0.8, 1.2)
 _NOTED_TURN_DEG = 1.0
 # A file of limited range holds black as 16 of 255 and white as 235.
 _BLACK, _WHITE, _BESIDE = 16 / 255, 235 / 255, 1 / 255
 _EXPONENT = 30  # of the lobe: exponents of 8 to 100 are found with it
-_Z_OF_GLOSS = 8.0  # photographs of plaster and faces, where parts of a subject light each other, reach 6.9
+# Of stretch and gloss: photographs of plaster and faces, whose parts light each other, reach 6.9 of gloss.
+_SURE_Z = 8.0
 _LEAST = 0.03  # of the matte light; matte renderings reach 0.015
 _PAINTED = 0.12  # spread of log lengths: the glossiest renderings have 0.05, a tartan 0.2
 _TAIL, _NOTED_DEG = 95.0, 2.0
@@ -96,7 +97,7 @@ def _readings(
             "black-level/full",
             in_codes(lambda codes: codes * stretch + _BLACK),
             _SLOPES_OF_STRETCH,
-            _Z_OF_STRETCH,
+            _SURE_Z,
         )
     constant = np.maximum(darkest - evidence.rig.response.ambient, 0.0)
     if constant.any():
@@ -141,7 +142,7 @@ def check_gloss(evidence: Evidence) -> list[Finding]:
     if found is None:
         return []
     strength, error = float(found.slopes[0]), max(float(found.errors[0]), 1e-3)
-    if strength < max(_LEAST, _Z_OF_GLOSS * error):
+    if strength < max(_LEAST, _SURE_Z * error):
         return []
     turns = strength * lengths_of(added - longer[:, None] * normals)
     turn_deg = float(np.degrees(np.percentile(turns, _TAIL)))

@@ -44,23 +44,19 @@ def curl_share(scaled_normals: FloatArray, used: Mask) -> float:
 
 def warn_of_flipped_axes(path: Path | str, normal_map: NormalMap) -> None:
     """Log a warning where the map read from `path` makes a surface only with its y axis flipped."""
-    if finding := finding_from_axes(normal_map):
-        logger.warning("%s: %s", path, finding)
-
-
-def finding_from_axes(normal_map: NormalMap) -> str | None:
-    """Return a line where the map makes a surface only with its y axis flipped, else None."""
     if int(normal_map.mask.sum()) < _FEWEST_PIXELS:
-        return None
+        return
     normals = np.asarray(normal_map.normals_in_camera, dtype=np.float64)
     as_read = curl_share(normals, normal_map.mask)
     flipped = curl_share(normals * np.array([1.0, -1.0, 1.0]), normal_map.mask)
-    if not flipped < min(_MARGIN * as_read, _WORST_AS_FLIPPED):
-        return None
-    return (
-        f"the green axis looks flipped: as read the slopes contradict each other (curl share {as_read:.2f}), "
-        f"flipped they fit ({flipped:.2f}); read it with the other convention, opengl or directx"
-    )
+    if flipped < min(_MARGIN * as_read, _WORST_AS_FLIPPED):
+        logger.warning(
+            "%s: the green axis looks flipped: as read the slopes contradict each other (curl share %.2f), "
+            "flipped they fit (%.2f); read it with the other convention, opengl or directx",
+            path,
+            as_read,
+            flipped,
+        )
 
 
 def likeliest_convention(stored: FloatArray, mask: Mask) -> tuple[NormalConvention, str]:

@@ -18,7 +18,7 @@ FEW_PIXELS = 50_000  # of an averaged frame: enough for every statistic here, an
 # … but not where found materials meet. What lies near seams is left out, and of narrow patches nothing
 # remained but some 60 pixels, in two places, which looked like turned lamps.
 PIXELS_BETWEEN_SEAMS = 200_000
-_LIT = 0.3  # of the length that the brightest twentieth exceeds: what is darker is backdrop or in shadow
+LIT = 0.3  # of the length that the brightest twentieth exceeds: what is darker is backdrop or in shadow
 SUBJECT = 0.1  # of the brightest hundredth of the picture: dark paint is surface, too
 NARROWEST_PX = 16  # of an averaged frame: a strip has no slopes to compare
 FEWEST_PIXELS = 400  # that a statistic of a surface rests on
@@ -55,12 +55,10 @@ class Evidence:
     @cached_property
     def directions(self) -> Float32Array:
         """(h, w, 3) viewing rays with z = 1; (0, 0, 1) everywhere for an orthographic camera."""
-        rays = np.zeros((*self.light.shape[1:3], 3), np.float32)
-        rays[..., 2] = 1.0
-        if self.rig.camera.is_perspective:
-            k = self.rig.camera.matrix
-            rays[..., :2] = (self.positions_px - k[:2, 2]) / (k[0, 0], k[1, 1])
-        return rays
+        ones = np.ones(self.light.shape[1:3])
+        if not self.rig.camera.is_perspective:
+            return np.multiply.outer(ones, [0.0, 0.0, 1.0]).astype(np.float32)
+        return self.rig.camera.unproject(self.positions_px, ones).astype(np.float32)
 
     @cached_property
     def inverse(self) -> Float32Array:
@@ -96,7 +94,7 @@ class Evidence:
         chosen = self.inside & ~self.clipped & (darkest_channel(self.light) > _LEAST_CHANNEL)
         if not chosen.any():
             return chosen
-        chosen &= brightest > _LIT * np.percentile(brightest[chosen], 95)
+        chosen &= brightest > LIT * np.percentile(brightest[chosen], 95)
         return np.asarray(chosen)
 
     @cached_property

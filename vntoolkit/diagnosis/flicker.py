@@ -17,7 +17,6 @@ from vntoolkit.spread import MEDIAN_TO_DEVIATION
 _STRIPES, _ROUNDS_A_STRIPE = 24, 3
 _SPREAD_OF_GAINS, _INDEPENDENT = 0.05, 20  # of a stripe's pixels: neighbours share their errors
 _LARGEST_BANDS = 0.012  # clean footage of what moves has up to 1 %, and as much in columns
-_ROWS_OVER_COLUMNS = 2.0
 FRAMES_IN_A_ROW = 5
 
 
@@ -58,7 +57,7 @@ def _findings_of_bands(
         gains -= gains.mean(axis=1, keepdims=True)
         change.append(np.sqrt(np.mean(gains**2, axis=1)).max(axis=1))
     by_rows, by_columns = float(change[0].min()), float(change[1].max())
-    if by_rows < _LARGEST_BANDS or by_rows < _ROWS_OVER_COLUMNS * by_columns:
+    if by_rows < _LARGEST_BANDS or by_rows < 2.0 * by_columns:
         return []
     return [Finding.of("flicker/bands", rows=by_rows, columns=by_columns)]
 

@@ -3,6 +3,7 @@
 import numpy as np
 
 from vntoolkit.arrays import FloatArray
+from vntoolkit.diagnosis.evidence import CHANNELS
 from vntoolkit.diagnosis.finding import Finding
 from vntoolkit.geometry.maps import DepthMap
 from vntoolkit.photometry.rig import Rig
@@ -10,7 +11,6 @@ from vntoolkit.tactile.contact import contact_from_depth
 from vntoolkit.tactile.session import channel_order, colours_of_terms, difference_of_light
 
 _LEAST_SHARE = 0.5  # of the dent: the rim beside a deep dent rises, too, by far less
-_CHANNELS = ("red", "green", "blue")
 
 
 def check_channels(colours: FloatArray, reference: FloatArray, whose: str, of: str) -> list[Finding]:
@@ -18,7 +18,7 @@ def check_channels(colours: FloatArray, reference: FloatArray, whose: str, of: s
     order = channel_order(colours, reference)
     if order == (0, 1, 2):
         return []
-    came = ", ".join(_CHANNELS[k] for k in order)
+    came = ", ".join(CHANNELS[k] for k in order)
     return [Finding.of("matrix/channels", whose=whose, of=of, came=came)]
 
 

@@ -21,7 +21,6 @@ from vntoolkit.spread import robust_deviation
 _FEWEST_IN_PART = 40  # pixels of two by two blocks
 _LIKE_LAMPS = 0.5  # of the squares of what is left over wide parts
 _LEAST_ERROR = 0.02  # what renderings and photographs under far lamps are off by, all three lamps alike
-_Z = 2.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,7 +33,7 @@ class Nearness:
     @property
     def established(self) -> float:
         """What of it is established: 0 within two standard errors, shrunk by its error beyond (james1961)."""
-        if self.value <= _Z * self.error:
+        if self.value <= 2.0 * self.error:
             return 0.0
         return self.value * (1.0 - (self.error / self.value) ** 2)
 

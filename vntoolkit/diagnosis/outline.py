@@ -77,9 +77,8 @@ def outline(evidence: Evidence) -> Outline | None:
         normals = normals / np.maximum(lengths_of(normals)[:, None], 1e-9)
         where = evidence.blocks[rim]
         counts += np.bincount(where, minlength=blocks)
-        for i in range(2):
-            for j in range(2):
-                products[:, i, j] += np.bincount(where, outwards[:, i] * normals[:, j], blocks)
+        for i, j in np.ndindex(2, 2):
+            products[:, i, j] += np.bincount(where, outwards[:, i] * normals[:, j], blocks)
     if counts.sum() < _FEWEST_PIXELS * len(evidence.light):
         return None
     return Outline(products=products[counts > 0], counts=counts[counts > 0])

@@ -13,10 +13,9 @@ from vntoolkit.arrays import FloatArray
 from vntoolkit.diagnosis.evidence import FEWEST_PIXELS, Evidence
 from vntoolkit.diagnosis.finding import CLEAR_Z, Finding, Level
 from vntoolkit.diagnosis.surface_pixels import SurfacePixels, surface_pixels
+from vntoolkit.photometry.fit_quality import LARGE_CONDITION_NUMBER, NARROW_CONE_DEG
 from vntoolkit.photometry.rig import Rig
 
-_NARROW_CONE_DEG = 20.0  # as calibration warns
-_LARGE_CONDITION_NUMBER = 30.0  # noise of one grey level turns a normal by some ten degrees
 # Balls, boards and heads calibrate to 1 to 5 degrees, a gel under near lamps to 11, a jumper taken for a
 # ball to 30.
 _NOTED_RESIDUAL_DEG = 8.0
@@ -48,10 +47,10 @@ def check_residual(rig: Rig) -> list[Finding]:
 def check_coverage(rig: Rig) -> list[Finding]:
     """Find a calibration that saw too few directions, and an M that multiplies noise."""
     quality, findings = rig.quality, []
-    if quality is not None and quality.samples and quality.cone_deg < _NARROW_CONE_DEG:
+    if quality is not None and quality.samples and quality.cone_deg < NARROW_CONE_DEG:
         findings.append(Finding.of("cone", cone_deg=quality.cone_deg))
     condition = rig.response.condition_number
-    if condition > _LARGE_CONDITION_NUMBER:
+    if condition > LARGE_CONDITION_NUMBER:
         findings.append(Finding.of("condition", condition=condition))
     return findings
 

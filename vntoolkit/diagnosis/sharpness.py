@@ -24,7 +24,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from vntoolkit.arrays import Array, Float32Array, FloatArray, Mask
+from vntoolkit.arrays import Array, Float32Array, FloatArray, Mask, box_of
 from vntoolkit.diagnosis.evidence import SUBJECT, brightest_channel, silhouette
 from vntoolkit.diagnosis.finding import Finding
 from vntoolkit.photometry.frame import LinearFrame
@@ -86,13 +86,9 @@ def fit_sharpness(frames: Sequence[LinearFrame], mask: Mask | None = None) -> Sh
     found = [seen for frame in frames if (seen := _of_frame(frame, mask)) is not None]
     if not found:
         return None
-    return Sharpness(
-        blur_px=float(np.median([seen.blur_px for seen in found])),
-        widest_px=float(np.median([seen.widest_px for seen in found])),
-        overshoot=float(np.median([seen.overshoot for seen in found])),
-        halo=float(np.median([seen.halo for seen in found])),
-        edges=sum(seen.edges for seen in found),
-    )
+    names = ("blur_px", "widest_px", "overshoot", "halo")
+    medians = {name: float(np.median([getattr(seen, name) for seen in found])) for name in names}
+    return Sharpness(**medians, edges=sum(seen.edges for seen in found))
 
 
 def colour_is_interpolated(frame: LinearFrame) -> bool:
@@ -125,7 +121,7 @@ def findings_from_sharpness(seen: Sharpness) -> list[Finding]:
 
 def _of_frame(frame: LinearFrame, mask: Mask | None) -> Sharpness | None:
     near = _near_outline(frame, mask)
-    seen = tuple(_span(np.asarray(near.any(axis=1 - axis)), near.shape[axis]) for axis in range(2))
+    seen = box_of(near, _MARGIN_PX)
     near = near[seen]
     channels = [np.ascontiguousarray(frame.rgb[..., k][seen], np.float32) for k in range(3)]
     measured = np.hstack([_edges(channel, near) for channel in channels])
@@ -146,14 +142,6 @@ def _of_frame(frame: LinearFrame, mask: Mask | None) -> Sharpness | None:
         here = np.abs(np.sin(apart)) < math.sin(math.pi / (2 * _DIRECTIONS))
         widest = max(widest, _width(squares[here], others[here], _SHARPEST) or 0.0)
     return Sharpness(blur_px=blur, widest_px=widest, overshoot=overshoot, halo=halo, edges=len(squares))
-
-
-def _span(wanted: Mask, size: int) -> slice:
-    """Return where the wanted rows or columns lie, and what is read beside them."""
-    places = np.flatnonzero(wanted)
-    if not len(places):
-        return slice(0, 1)
-    return slice(max(int(places[0]) - _MARGIN_PX, 0), min(int(places[-1]) + _MARGIN_PX + 1, size))
 
 
 def _width(squares: FloatArray, others: FloatArray, percentile: float) -> float | None:

@@ -112,10 +112,9 @@ def structure(evidence: Evidence) -> Structure:
         total += float((normals[inside] ** 2).sum())
         count += int(inside.sum())
         for axis in (0, 1):
-            near, far = [slice(None)] * 2, [slice(None)] * 2
-            near[axis], far[axis] = slice(None, -_LAG_PX), slice(_LAG_PX, None)
-            both = inside[tuple(near)] & inside[tuple(far)]
-            products += float((normals[tuple(near)] * normals[tuple(far)]).sum(axis=2)[both].sum())
+            along, there = np.moveaxis(normals, axis, 0), np.moveaxis(inside, axis, 0)
+            both = there[:-_LAG_PX] & there[_LAG_PX:]
+            products += float((along[:-_LAG_PX] * along[_LAG_PX:]).sum(axis=2)[both].sum())
             pairs += int(both.sum())
     if not count or not pairs or not total:
         return Structure(coherence=1.0, spread_deg=90.0, pixels=0, faces_camera=True)
@@ -210,11 +209,10 @@ class _Sums:
         evidence: Evidence,
         mix: Matrix3 | None = None,
         inverse: Float32Array | None = None,
-        frames: slice = slice(None),
     ) -> _Sums:
         total = np.zeros((int(evidence.blocks.max()) + 1, 10))
-        seams = _seams_of_paint(evidence)[frames]
-        for light, used, seam in zip(evidence.light[frames], evidence.surface[frames], seams, strict=True):
+        seams = _seams_of_paint(evidence)
+        for light, used, seam in zip(evidence.light, evidence.surface, seams, strict=True):
             if used.any():
                 total += _block_sums(evidence, scaled_normals(evidence, light, mix, inverse), used, seam)
         return cls(blocks=total[total[:, 7] > 0])
@@ -247,11 +245,10 @@ def _seams_of_paint(evidence: Evidence) -> BoolArray:
     for light, used, seam in zip(evidence.light, evidence.surface, seams, strict=True):
         logs = np.log(np.maximum(cv2.GaussianBlur(light, (0, 0), _BLUR_PX), _LEAST_LIGHT))
         for axis in (0, 1):
-            before, middle, after = [slice(None)] * 2, [slice(None)] * 2, [slice(None)] * 2
-            before[axis], after[axis] = slice(None, -2 * _PAINT_REACH_PX), slice(2 * _PAINT_REACH_PX, None)
-            middle[axis] = slice(_PAINT_REACH_PX, -_PAINT_REACH_PX)
-            steps = np.abs(logs[tuple(after)] - logs[tuple(before)]).max(axis=-1)
-            seam[tuple(middle)] |= (steps > _PAINT_STEP) & used[tuple(after)] & used[tuple(before)]
+            along, there, beside = (np.moveaxis(each, axis, 0) for each in (logs, used, seam))
+            steps = np.abs(along[2 * _PAINT_REACH_PX :] - along[: -2 * _PAINT_REACH_PX]).max(axis=-1)
+            both = there[2 * _PAINT_REACH_PX :] & there[: -2 * _PAINT_REACH_PX]
+            beside[_PAINT_REACH_PX:-_PAINT_REACH_PX] |= (steps > _PAINT_STEP) & both
         grown = np.ones((2 * _BESIDE_PX + 1, 2 * _BESIDE_PX + 1), np.uint8)
         seam[:] = cv2.dilate(seam.astype(np.uint8), grown) > 0
     return seams
@@ -418,31 +415,20 @@ def _mistakes(evidence: Evidence, own: _Sums) -> Iterator[_Reading]:
             own,
             turned=True,
         )
-    one = slice(len(evidence.light) // 2, len(evidence.light) // 2 + 1)
-    bar = _Reading.of("", "", _Sums.of(evidence, frames=one)).misfit
-
-    def looked_at(
-        name: str, remedy: str, mix: Matrix3 | None, inverse: Float32Array | None
-    ) -> Iterator[_Reading]:
-        """Yield the reading of all frames where one frame's is not worse than as calibrated."""
-        glimpse = _Reading.of("", "", _Sums.of(evidence, mix, inverse, one))
-        if glimpse.misfit < bar:
-            yield _Reading.of(name, remedy, _Sums.of(evidence, mix, inverse))
-
     saved = "was the footage saved in another channel order, such as BGR? save it as RGB"
     for order in _orders():
-        mix = np.eye(3)[list(order)]
-        yield from looked_at(f"with {_exchanged(order, CHANNELS)}", saved, mix, None)
+        sums = _Sums.of(evidence, np.eye(3)[list(order)])
+        yield _Reading.of(f"with {_exchanged(order, CHANNELS)}", saved, sums)
     transposed = evidence.inverse_of(evidence.rig.response.matrix.T)
     by_axis = "write M with a row per channel and a column per axis"
-    yield from looked_at("with M transposed", by_axis, None, transposed)
+    yield _Reading.of("with M transposed", by_axis, _Sums.of(evidence, inverse=transposed))
     colours = evidence.rig.response.light_colours
     if colours is not None:
         lamps = ("the first lamp", "the second lamp", "the third lamp")
         in_one_order = "list the lamps' directions and colours in one order"
         for order in _orders():
             mix = colours.T @ np.eye(3)[list(order)] @ np.linalg.inv(colours.T)
-            yield from looked_at(f"with {_exchanged(order, lamps)}", in_one_order, mix, None)
+            yield _Reading.of(f"with {_exchanged(order, lamps)}", in_one_order, _Sums.of(evidence, mix))
 
 
 def _read_otherwise(evidence: Evidence) -> Evidence:

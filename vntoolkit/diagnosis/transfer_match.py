@@ -35,8 +35,7 @@ from vntoolkit.photometry.transfer import (
     linear_from_encoded,
 )
 
-_LIT = 0.3  # of the length that the brightest twentieth exceeds, under the lighter reading
-_LIT_DARKER = 0.1
+_LIT_DARKER = 0.1  # in the place of `LIT`, under the darker reading
 _DARKEST = 0.01  # of full scale
 _LEAST_CHANNEL = 0.05  # of the brightest channel foretold: below it the curve's toe and noise decide
 _ROUNDS = 8  # of weighing pairs of a calibration
@@ -176,14 +175,14 @@ def _lit_pixels(evidence: evidences.Evidence, other: Transfer) -> SurfacePixels:
     def lit(k: int, length: Float32Array) -> Mask:
         good = evidence.inside[k] & ~evidence.clipped[k] & (length > 0.0)
         if good.any():
-            good &= length > (_LIT_DARKER if darker else _LIT) * np.percentile(length[good], 95)
+            good &= length > (_LIT_DARKER if darker else evidences.LIT) * np.percentile(length[good], 95)
         return np.asarray(good)
 
     pixels = surface_pixels(evidence, lit)
     if not len(pixels):
         return pixels
     length = evidences.lengths_of(pixels.scaled_normals(_reread(pixels.rgb, evidence.transfer, other)))
-    return pixels.of(length > (_LIT if darker else _LIT_DARKER) * np.percentile(length, 95))
+    return pixels.of(length > (evidences.LIT if darker else _LIT_DARKER) * np.percentile(length, 95))
 
 
 def _slope(

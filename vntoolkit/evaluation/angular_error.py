@@ -8,6 +8,7 @@ from vntoolkit.arrays import FloatArray, IntArray, Mask
 from vntoolkit.checks import require_finite, require_same_size, require_shape, require_some
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.maps import NormalMap
+from vntoolkit.photometry.fit_quality import angles_deg
 
 _STEPS_PER_DEGREE = 100
 _STEPS = 180 * _STEPS_PER_DEGREE
@@ -30,18 +31,6 @@ class AngularError:
     below_20: float
 
 
-def angles_between_deg(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Angle in degrees between unit vectors (..., 3), exact for small angles too.
-
-    The arc cosine loses half its digits near zero; the arc tangent of the half angle does not.
-    """
-    first = np.asarray(first, dtype=np.float64)
-    second = np.asarray(second, dtype=np.float64)
-    apart = np.linalg.norm(first - second, axis=-1)
-    together = np.linalg.norm(first + second, axis=-1)
-    return np.rad2deg(2.0 * np.arctan2(apart, together))
-
-
 def angular_error_map(measured: NormalMap, reference: NormalMap) -> tuple[FloatArray, Mask]:
     """Return the angle in degrees per pixel (h, w), 0 where not compared, and where it was compared.
 
@@ -51,7 +40,7 @@ def angular_error_map(measured: NormalMap, reference: NormalMap) -> tuple[FloatA
     both = measured.mask & reference.mask
     require_some(both, "common mask of the two normal maps")
     angles = np.zeros(both.shape)
-    angles[both] = angles_between_deg(measured.normals_in_camera[both], reference.normals_in_camera[both])
+    angles[both] = angles_deg(measured.normals_in_camera[both], reference.normals_in_camera[both])
     return angles, both
 
 

@@ -7,13 +7,13 @@ from scipy import ndimage
 
 from vntoolkit.arrays import FloatArray, LinearImage, Mask, Points2, Vector3
 from vntoolkit.errors import BadInput
-from vntoolkit.evaluation.angular_error import angles_between_deg
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.geometry.rays import pixel_rays
+from vntoolkit.photometry.fit_quality import angles_deg
 from vntoolkit.spread import robust_deviation
 
-_FEWEST_PIXELS = 200
+FEWEST_PIXELS = 200
 _SIDE_DEG = 45.0  # an end's normals are 90 degrees from the side's
 
 
@@ -72,37 +72,30 @@ def plane_cross(first: FloatArray, second: FloatArray) -> FloatArray:
     return first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class SideAngles:
-    """Angles in degrees (h, w) between measured normals and the cylinder's, and where its side is seen."""
-
-    angles_deg: FloatArray
-    side: Mask
-
-
-def side_angles(cylinder: Cylinder, normal_map: NormalMap, camera: Camera, name: str = "frame") -> SideAngles:
-    """Measure the normals of the cylinder's side.
+def side_angles(
+    cylinder: Cylinder, normal_map: NormalMap, camera: Camera, name: str = "frame"
+) -> tuple[FloatArray, Mask]:
+    """Return the angles in degrees (h, w) to the cylinder's normals, and where its side is seen.
 
     The ends' discs are left out by where they lie along the axis, not pixel by pixel, so that bad normals on
     the side still count. Raises `BadInput` where too little of the side is seen.
     """
     met = intersect(cylinder, *pixel_rays(camera, camera.pixel_grid()))
     seen = normal_map.mask & met.hit
-    angles = np.where(seen, angles_between_deg(normal_map.normals_in_camera, met.normals), 0.0)
+    angles = np.where(seen, angles_deg(normal_map.normals_in_camera, met.normals), 0.0)
     low, high = _extent(met.along[seen], angles[seen] < _SIDE_DEG)
     side = seen & (met.along >= low) & (met.along <= high)
     count = int(np.count_nonzero(side))
-    if count < _FEWEST_PIXELS:
+    if count < FEWEST_PIXELS:
         raise BadInput(
-            f"cylinder: {name} shows {count} valid pixels of the side, at least {_FEWEST_PIXELS} are needed"
+            f"cylinder: {name} shows {count} valid pixels of the side, at least {FEWEST_PIXELS} are needed"
         )
-    return SideAngles(angles_deg=np.where(side, angles, 0.0), side=side)
+    return np.where(side, angles, 0.0), side
 
 
 def axis_error_deg(cylinder: Cylinder, axis: Vector3) -> float:
     """Angle in degrees between the fitted and the true axis, whichever way round."""
-    unit = axis / np.linalg.norm(axis)
-    return float(min(angles_between_deg(cylinder.axis, unit), angles_between_deg(cylinder.axis, -unit)))
+    return float(min(angles_deg(cylinder.axis, axis), angles_deg(cylinder.axis, -axis)))
 
 
 def radius_from_distance(cylinder: Cylinder, camera: Camera, point: Vector3) -> float:

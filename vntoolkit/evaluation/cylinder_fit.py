@@ -15,6 +15,7 @@ from scipy.spatial import ConvexHull
 from vntoolkit.arrays import FloatArray, Points, Points2, Vector3
 from vntoolkit.errors import BadInput, SolverFailed
 from vntoolkit.evaluation.cylinder import (
+    FEWEST_PIXELS,
     Cylinder,
     across_axis,
     contour_of,
@@ -28,7 +29,6 @@ from vntoolkit.geometry.rays import pixel_rays
 
 _MOST_SAMPLES = 20000  # normals
 _MOST_OUTLINE_POINTS = 800
-_FEWEST_PIXELS = 200
 _FEWEST_OUTLINE_POINTS = 40
 _PAIRS = 300
 _LEAST_SUPPORT = 0.3  # share of the normals that must agree on the axis
@@ -80,10 +80,8 @@ def _observe(
     normal_map: NormalMap, silhouette: FloatArray, camera: Camera, rng: np.random.Generator, name: str
 ) -> _Observation:
     rows, columns = np.nonzero(normal_map.mask & (silhouette > 0.5))
-    if len(rows) < _FEWEST_PIXELS:
-        raise BadInput(
-            f"cylinder: {name} has {len(rows)} valid normals, at least {_FEWEST_PIXELS} are needed"
-        )
+    if len(rows) < FEWEST_PIXELS:
+        raise BadInput(f"cylinder: {name} has {len(rows)} valid normals, at least {FEWEST_PIXELS} are needed")
     outline, _ = contour_of(silhouette)
     if len(outline) < _FEWEST_OUTLINE_POINTS:
         raise BadInput(f"cylinder: {name} has no usable silhouette ({len(outline)} contour points)")

@@ -10,7 +10,7 @@ from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap
 
-PEAKS_RANGE = 14.7  # of the unscaled surface, from −6.55 to 8.11
+_PEAKS_RANGE = 14.7  # of the unscaled surface, from −6.55 to 8.11
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,18 +72,17 @@ def compare_depths(measured: DepthMap, reference: DepthMap, camera: Camera) -> D
     )
 
 
-def peaks(height: int, width: int | None = None) -> tuple[FloatArray, Normals]:
-    """Return depth (h, w) in pixels, range a quarter of the height, and normals of Matlab's `peaks`."""
-    step = 6.0 / (height - 1)
-    span = step * (np.arange(width or height) - ((width or height) - 1) / 2)
-    y, x = np.meshgrid(step * np.arange(height) - 3.0, span, indexing="ij")
+def peaks(size: int) -> tuple[FloatArray, Normals]:
+    """Return depth (size, size) in pixels, range a quarter of the size, and normals of Matlab's `peaks`."""
+    step = 6.0 / (size - 1)
+    x, y = np.meshgrid(step * np.arange(size) - 3.0, step * np.arange(size) - 3.0)
     near, centre = np.exp(-(x**2) - (y + 1) ** 2), np.exp(-(x**2) - y**2)
     left, odd = np.exp(-((x + 1) ** 2) - y**2), x / 5 - x**3 - y**5
     z = 3 * (1 - x) ** 2 * near - 10 * odd * centre - left / 3
     z_x = (-6 * (1 - x) - 6 * x * (1 - x) ** 2) * near - 10 * (0.2 - 3 * x**2 - 2 * x * odd) * centre
     z_x += 2 * (x + 1) / 3 * left
     z_y = -6 * (1 - x) ** 2 * (y + 1) * near + 10 * (5 * y**4 + 2 * y * odd) * centre + 2 * y / 3 * left
-    scale = height / 4 / PEAKS_RANGE
+    scale = size / 4 / _PEAKS_RANGE
     return z * scale, normals_from_gradient(z_x * step * scale, z_y * step * scale)
 
 

@@ -20,7 +20,7 @@ from vntoolkit.arrays import (
     Points,
     read_only,
 )
-from vntoolkit.checks import require_finite, require_shape, sum_is_finite
+from vntoolkit.checks import require_finite, require_shape, set_arrays
 from vntoolkit.display import Displayed, Facts, Picture, picture_of_points
 from vntoolkit.errors import BadMesh
 
@@ -47,21 +47,14 @@ class Mesh(Displayed):
     error_deg: FloatArray | None = None
 
     def __post_init__(self) -> None:
-        vertices = np.asarray(self.vertices)
-        faces = np.asarray(self.faces)
-        require_shape(vertices, (None, 3), "vertices", BadMesh)
-        require_finite(vertices, "vertices", BadMesh)
+        set_arrays(self, {"vertices": (None, 3)}, error=BadMesh)
+        faces, count = np.asarray(self.faces), len(self.vertices)
         require_shape(faces, (None, 3), "faces", BadMesh)
-        if faces.size and not (faces.min() >= 0 and faces.max() < len(vertices)):
-            raise BadMesh(f"faces: an index lies outside the {len(vertices)} vertices")
-        object.__setattr__(self, "vertices", read_only(vertices))
+        if faces.size and not (faces.min() >= 0 and faces.max() < count):
+            raise BadMesh(f"faces: an index lies outside the {count} vertices")
         object.__setattr__(self, "faces", read_only(faces.astype(np.int32, copy=False)))
-        for name, width in (("normals", (3,)), ("colours", (3,)), ("uv", (2,)), ("error_deg", ())):
-            if getattr(self, name) is not None:
-                values = np.asarray(getattr(self, name))
-                require_shape(values, (len(vertices), *width), name, BadMesh)
-                require_finite(values, name, BadMesh)
-                object.__setattr__(self, name, read_only(values))
+        shapes = {"normals": (count, 3), "colours": (count, 3), "uv": (count, 2), "error_deg": (count,)}
+        set_arrays(self, shapes, error=BadMesh)
 
     def with_vertices(self, vertices: Points) -> Mesh:
         """Return the same topology at other positions, normals recomputed if there were any."""
@@ -262,8 +255,7 @@ class MeshSequence(Displayed):
     def require_finite(self, name: str) -> None:
         """Raise `BadMesh` for a frame with NaN or infinity; reads them one after the other."""
         for frame, vertices in enumerate(self.vertices):
-            if not sum_is_finite(vertices):
-                require_finite(vertices, f"{name}: frame {frame}", BadMesh)
+            require_finite(vertices, f"{name}: frame {frame}", BadMesh)
 
     def __getitem__(self, frame: int) -> Mesh:
         """Return the mesh of one frame, read into memory."""

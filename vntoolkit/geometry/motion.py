@@ -5,12 +5,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from vntoolkit.arrays import FloatArray, IntArray, Matrix3, Points, read_only
-from vntoolkit.checks import require_finite, require_shape
+from vntoolkit.arrays import FloatArray, IntArray, Matrix3, Points
+from vntoolkit.checks import set_arrays
 from vntoolkit.errors import BadMotion
 
 _UNIT_TOLERANCE = 1e-6
-_UP_AXIS = 1  # y: down in the camera frame, up on disk
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -29,22 +28,17 @@ class Motion:
     metres_per_unit: float | None = None
 
     def __post_init__(self) -> None:
-        rotations = np.asarray(self.rotations, dtype=np.float64)
-        positions = np.asarray(self.root_positions, dtype=np.float64)
-        require_shape(rotations, (None, len(self.skeleton.names), 4), "joint rotations", BadMotion)
-        require_shape(positions, (len(rotations), 3), "root positions", BadMotion)
-        require_finite(rotations, "joint rotations", BadMotion)
-        require_finite(positions, "root positions", BadMotion)
-        if not len(rotations):
+        count = len(self.rotations)
+        shapes = {"rotations": (count, len(self.skeleton.names), 4), "root_positions": (count, 3)}
+        set_arrays(self, shapes, called="motion: {}", dtype=np.float64, error=BadMotion)
+        if not count:
             raise BadMotion("motion: expected at least one frame")
-        if np.abs(np.linalg.norm(rotations, axis=-1) - 1).max() > _UNIT_TOLERANCE:
+        if np.abs(np.linalg.norm(self.rotations, axis=-1) - 1).max() > _UNIT_TOLERANCE:
             raise BadMotion("joint rotations: expected unit quaternions")
         if not 0 < self.frame_rate_hz < np.inf:
             raise BadMotion(f"frame rate: expected a positive number, got {self.frame_rate_hz}")
         if self.metres_per_unit is not None and not 0 < self.metres_per_unit < np.inf:
             raise BadMotion(f"metres per unit: expected a positive number, got {self.metres_per_unit}")
-        object.__setattr__(self, "rotations", read_only(rotations))
-        object.__setattr__(self, "root_positions", read_only(positions))
 
     def __len__(self) -> int:
         return int(self.rotations.shape[0])
@@ -105,16 +99,10 @@ class Skeleton:
         count = len(self.names)
         if len(set(self.names)) != count or not count:
             raise BadMotion("skeleton: expected at least one joint and every joint name once")
-        for name, kind, shape in (
-            ("parents", np.int64, (count,)),
-            ("offsets", np.float64, (count, 3)),
-            ("tip_joints", np.int64, (None,)),
-            ("tip_offsets", np.float64, (len(self.tip_joints), 3)),
-        ):
-            values = np.array(getattr(self, name), dtype=kind)
-            require_shape(values, shape, f"skeleton {name}", BadMotion)
-            require_finite(values, f"skeleton {name}", BadMotion)
-            object.__setattr__(self, name, read_only(values))
+        numbers = {"parents": (count,), "tip_joints": (None,)}
+        lengths = {"offsets": (count, 3), "tip_offsets": (len(self.tip_joints), 3)}
+        set_arrays(self, numbers, called="skeleton: {}", dtype=np.int64, error=BadMotion)
+        set_arrays(self, lengths, called="skeleton: {}", dtype=np.float64, error=BadMotion)
         if self.parents[0] != -1 or np.any(self.parents[1:] < 0):
             raise BadMotion("skeleton: expected one root, the first joint")
         if np.any(self.parents >= np.arange(count)):
@@ -138,7 +126,10 @@ class Skeleton:
     @property
     def height(self) -> float:
         """Vertical extent of the rest pose, tips included."""
-        return float(np.ptp(np.concatenate([self.rest_positions, self.rest_tips])[:, _UP_AXIS]))
+        y = np.concatenate([self.rest_positions, self.rest_tips])[
+            :, 1
+        ]  # down in the camera frame, up on disk
+        return float(np.ptp(y))
 
     def index_of(self, name: str) -> int:
         """Return the index of a joint by its name, or raise `BadMotion` with the names there are."""

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vntoolkit.arrays import Colours, Points, read_only
-from vntoolkit.checks import require_finite, require_shape
+from vntoolkit.arrays import Colours, Points
+from vntoolkit.checks import set_arrays
 from vntoolkit.display import Displayed, Facts, Picture, picture_of_points
 from vntoolkit.errors import BadMesh
 
@@ -30,16 +30,9 @@ class PointCloud(Displayed):
     colours: Colours | None = None
 
     def __post_init__(self) -> None:
-        points = np.asarray(self.points)
-        require_shape(points, (None, 3), "points", BadMesh)
-        require_finite(points, "points", BadMesh)
-        object.__setattr__(self, "points", read_only(points))
-        for name in ("normals", "colours"):
-            if getattr(self, name) is not None:
-                values = np.asarray(getattr(self, name))
-                require_shape(values, (len(points), 3), name, BadMesh)
-                require_finite(values, name, BadMesh)
-                object.__setattr__(self, name, read_only(values))
+        set_arrays(self, {"points": (None, 3)}, error=BadMesh)
+        shape = (len(self.points), 3)
+        set_arrays(self, {"normals": shape, "colours": shape}, error=BadMesh)
 
     @property
     def diagonal(self) -> float:

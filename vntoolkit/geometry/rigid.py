@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from vntoolkit.arrays import ArrayLike, FloatArray, Matrix3, Matrix4, Vector3, read_only
-from vntoolkit.checks import require_finite, require_shape
+from vntoolkit.arrays import ArrayLike, FloatArray, Matrix3, Vector3
+from vntoolkit.checks import set_arrays
 from vntoolkit.errors import BadInput
 
 _ORTHONORMALITY_TOLERANCE = 1e-6
@@ -25,16 +25,10 @@ class RigidTransform:
     translation: Vector3 = field(default_factory=lambda: np.zeros(3))
 
     def __post_init__(self) -> None:
-        rotation = np.array(self.rotation, dtype=np.float64)
-        translation = np.array(self.translation, dtype=np.float64)
-        require_shape(rotation, (3, 3), "rotation")
-        require_shape(translation, (3,), "translation")
-        require_finite(translation, "translation")
-        error = np.abs(rotation @ rotation.T - np.eye(3)).max()
-        if not (error < _ORTHONORMALITY_TOLERANCE and np.linalg.det(rotation) > 0):
+        set_arrays(self, {"rotation": (3, 3), "translation": (3,)}, dtype=np.float64)
+        error = np.abs(self.rotation @ self.rotation.T - np.eye(3)).max()
+        if not (error < _ORTHONORMALITY_TOLERANCE and np.linalg.det(self.rotation) > 0):
             raise BadInput("rotation: expected an orthonormal matrix with determinant +1")
-        object.__setattr__(self, "rotation", read_only(rotation))
-        object.__setattr__(self, "translation", read_only(translation))
 
     @classmethod
     def from_rotation_vector(
@@ -51,7 +45,7 @@ class RigidTransform:
         return cls(rotation=matrix[:3, :3], translation=matrix[:3, 3:].ravel())
 
     @property
-    def matrix(self) -> Matrix4:
+    def matrix(self) -> FloatArray:
         """The (4, 4) homogeneous matrix."""
         matrix = np.eye(4)
         matrix[:3, :3] = self.rotation

@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from vntoolkit.arrays import FloatArray, IntArray, Points, Vector3, read_only
-from vntoolkit.checks import require_shape
+from vntoolkit.arrays import FloatArray, IntArray, Points, Vector3
+from vntoolkit.checks import set_arrays
 from vntoolkit.errors import BadMesh
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.motion import Motion
@@ -37,12 +37,13 @@ class SkinnedClip:
 
     def __post_init__(self) -> None:
         count, frames = len(self.mesh.vertices), len(self.motion)
-        require_shape(self.joints, (count, None), "skin joints", BadMesh)
-        require_shape(self.weights, self.joints.shape, "skin weights", BadMesh)
-        require_shape(self.shapes, (None, count, 3), "blend shapes", BadMesh)
-        require_shape(self.shape_weights, (frames, len(self.shapes)), "weights of blend shapes", BadMesh)
-        for name in ("joints", "weights", "shapes", "shape_weights"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
+        shapes = {
+            "joints": (count, None),
+            "weights": self.joints.shape,
+            "shapes": (None, count, 3),
+            "shape_weights": (frames, len(self.shapes)),
+        }
+        set_arrays(self, shapes, called="skinned clip: {}", error=BadMesh)
 
     def with_influences(self, count: int) -> "SkinnedClip":
         """Return the clip with at most `count` joints a vertex: the heaviest, less the weight of the next."""

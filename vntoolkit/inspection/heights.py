@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.fft
+from scipy.ndimage import fourier_gaussian, map_coordinates
 
 from vntoolkit.arrays import Float64Array, FloatArray, Mask
 from vntoolkit.checks import require_some
@@ -56,8 +57,6 @@ class HeightMap:
         self, start_px: tuple[float, float], end_px: tuple[float, float]
     ) -> tuple[FloatArray, FloatArray]:
         """Return lengths (n,) along a line of pixels (column, row), and its heights, NaN where none is."""
-        from scipy.ndimage import map_coordinates
-
         (u0, v0), (u1, v1) = start_px, end_px
         height, width = self.mask.shape
         if not all(0 <= u <= width - 1 and 0 <= v <= height - 1 for u, v in (start_px, end_px)):
@@ -134,7 +133,5 @@ def _blurred(image: Float64Array, deviations_px: tuple[float, float]) -> Float64
         scipy.fft.next_fast_len(n + math.ceil(2 * _REACH * s), real=True)
         for n, s in ((height, down), (width, across))
     ]
-    frequency_v, frequency_u = np.fft.fftfreq(shape[0])[:, None], np.fft.rfftfreq(shape[1])
-    passed = np.exp(-2.0 * np.pi**2 * ((frequency_v * down) ** 2 + (frequency_u * across) ** 2))
-    spectrum = scipy.fft.rfft2(image, s=shape) * passed
+    spectrum = fourier_gaussian(scipy.fft.rfft2(image, s=shape), (down, across), n=shape[1])
     return np.asarray(scipy.fft.irfft2(spectrum, s=shape)[:height, :width])

@@ -12,8 +12,8 @@ from itertools import combinations_with_replacement
 
 import numpy as np
 
-from vntoolkit.arrays import Float64Array, FloatArray, read_only
-from vntoolkit.checks import require_finite, require_shape
+from vntoolkit.arrays import Float64Array, FloatArray
+from vntoolkit.checks import set_arrays
 from vntoolkit.errors import BadRig
 from vntoolkit.geometry.rectification import Rectification
 
@@ -67,23 +67,13 @@ class GelResponse:
     filmed_px: tuple[int, int] | None = None
 
     def __post_init__(self) -> None:
-        for name, shape in (("coefficients", (TERMS, 2)), ("centre_px", (2,))):
-            value = np.array(getattr(self, name), dtype=np.float64)
-            require_shape(value, shape, f"gel: {name}", BadRig)
-            require_finite(value, f"gel: {name}", BadRig)
-            object.__setattr__(self, name, read_only(value))
-        if self.errors_deg is not None:
-            errors = np.array(self.errors_deg, dtype=np.float64)
-            require_shape(errors, (None, 2), "gel: errors", BadRig)
-            require_finite(errors, "gel: errors", BadRig)
-            if not (len(errors) and (np.diff(errors[:, 0]) > 0).all() and (errors >= 0).all()):
-                raise BadRig("gel: expected errors at growing tilts, both 0 or more")
-            object.__setattr__(self, "errors_deg", read_only(errors))
-        if self.untouched is not None:
-            untouched = np.array(self.untouched, dtype=np.float64)
-            require_shape(untouched, (6, 3), "gel: untouched", BadRig)
-            require_finite(untouched, "gel: untouched", BadRig)
-            object.__setattr__(self, "untouched", read_only(untouched))
+        shapes = {"coefficients": (TERMS, 2), "centre_px": (2,), "errors_deg": (None, 2), "untouched": (6, 3)}
+        set_arrays(self, shapes, called="gel: {}", dtype=np.float64, error=BadRig)
+        errors = self.errors_deg
+        if errors is not None and not (
+            len(errors) and (np.diff(errors[:, 0]) > 0).all() and (errors >= 0).all()
+        ):
+            raise BadRig("gel: expected errors at growing tilts, both 0 or more")
         if (self.rectification is None) != (self.filmed_px is None):
             raise BadRig("gel: expected the rectification and the size as filmed, got one of them")
         if not (0 < self.scale_px < np.inf and 0 < self.reach < np.inf):

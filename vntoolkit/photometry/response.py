@@ -4,8 +4,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from vntoolkit.arrays import FloatArray, Int64Array, Matrix3, Vector3, read_only
-from vntoolkit.checks import require_finite, require_shape
+from vntoolkit.arrays import FloatArray, Int64Array, Matrix3, Vector3
+from vntoolkit.checks import set_arrays
 from vntoolkit.errors import BadRig
 
 _LARGEST_CONDITION_NUMBER = 1e4  # beyond it one grey level of noise turns a normal by tens of degrees
@@ -34,13 +34,7 @@ class LightResponse:
 
     def __post_init__(self) -> None:
         shapes = {"matrix": (3, 3), "ambient": (3,), "light_colours": (3, 3), "light_doubts_deg": (3,)}
-        for name, shape in shapes.items():
-            value = getattr(self, name)
-            if value is not None:
-                value = np.array(value, dtype=np.float64)
-                require_shape(value, shape, f"light response: {name}", BadRig)
-                require_finite(value, f"light response: {name}", BadRig)
-                object.__setattr__(self, name, read_only(value))
+        set_arrays(self, shapes, called="light response: {}", dtype=np.float64, error=BadRig)
         brightest = float(np.abs(self.matrix).max())
         if 0 < brightest < _FAINTEST or brightest > 1 / _FAINTEST:
             raise BadRig(
@@ -140,23 +134,16 @@ class ResponseVariation:
     scale_px: float
 
     def __post_init__(self) -> None:
-        powers = np.array(self.powers, dtype=np.int64)
-        require_shape(powers, (None, 2), "response variation: powers", BadRig)
-        total = powers.sum(axis=1)
-        if len(powers) < 1 or powers.min() < 0 or total.min() < 1 or total.max() > HIGHEST_DEGREE:
+        called = "response variation: {}"
+        set_arrays(self, {"powers": (None, 2)}, called=called, dtype=np.int64, error=BadRig)
+        count = len(self.powers)
+        shapes = {"matrices": (count, 3, 3), "ambients": (count, 3), "centre_px": (2,)}
+        set_arrays(self, shapes, called=called, dtype=np.float64, error=BadRig)
+        total = self.powers.sum(axis=1)
+        if count < 1 or self.powers.min() < 0 or total.min() < 1 or total.max() > HIGHEST_DEGREE:
             raise BadRig(f"response variation: expected powers of total degree 1 to {HIGHEST_DEGREE}")
-        if len(np.unique(powers, axis=0)) < len(powers):
+        if len(np.unique(self.powers, axis=0)) < count:
             raise BadRig("response variation: a monomial is listed twice")
-        object.__setattr__(self, "powers", read_only(powers))
-        for name, shape in (
-            ("matrices", (len(powers), 3, 3)),
-            ("ambients", (len(powers), 3)),
-            ("centre_px", (2,)),
-        ):
-            value = np.array(getattr(self, name), dtype=np.float64)
-            require_shape(value, shape, f"response variation: {name}", BadRig)
-            require_finite(value, f"response variation: {name}", BadRig)
-            object.__setattr__(self, name, read_only(value))
         if not (np.isfinite(self.scale_px) and self.scale_px > 0):
             raise BadRig(f"response variation: expected a positive scale in pixels, got {self.scale_px:g}")
 

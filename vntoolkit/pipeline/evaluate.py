@@ -240,8 +240,8 @@ def evaluate_cylinder(result: OpenedResult, simulated: Path | None = None) -> Cy
     for cylinder, (number, seen) in zip(fits, _observations(result), strict=True):
         normal_map, silhouette = seen
         subject = replace(normal_map, mask=normal_map.mask & (silhouette > 0.5))
-        measured = side_angles(cylinder, subject, result.camera, f"frame {number}")
-        angles = measured.angles_deg[measured.side]
+        angles_deg, side = side_angles(cylinder, subject, result.camera, f"frame {number}")
+        angles = angles_deg[side]
         total += [len(angles), angles.sum(), (angles**2).sum()]
         frames.append(
             CylinderFrameError(

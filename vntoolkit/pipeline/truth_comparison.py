@@ -4,15 +4,14 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from vntoolkit.arrays import FloatArray
 from vntoolkit.errors import BadInput
-from vntoolkit.evaluation.angular_error import AngularError, angles_between_deg, compare_normals
+from vntoolkit.evaluation.angular_error import AngularError, compare_normals
 from vntoolkit.evaluation.depth_error import DepthError, compare_depths
 from vntoolkit.geometry.maps import DepthMap, NormalMap
 from vntoolkit.io.maps_and_meshes.maps import read_depth_map, read_normal_map
 from vntoolkit.io.rigs import read_rig
+from vntoolkit.photometry.fit_quality import angles_deg
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.pipeline.opened_result import OpenedResult
 from vntoolkit.pipeline.simulate import SimulationFolder
@@ -56,11 +55,7 @@ def true_depth(simulated: Path, number: int) -> DepthMap:
 def light_errors_deg(response: LightResponse, simulated: Path) -> FloatArray:
     """Return (3,) the angles in degrees between the rows of M, channel by channel, and the true ones."""
     truth = read_rig(SimulationFolder(root=simulated).truth / "rig.json").response
-    return angles_between_deg(_unit_rows(response.matrix), _unit_rows(truth.matrix))
-
-
-def _unit_rows(matrix: FloatArray) -> FloatArray:
-    return np.asarray(matrix / np.linalg.norm(matrix, axis=1, keepdims=True))
+    return angles_deg(response.matrix, truth.matrix)
 
 
 def _truth_file(simulated: Path, kind: str, number: int) -> Path:

@@ -32,7 +32,6 @@ _TURN_DEG = (100.0, 60.0)
 _AGREEING = (0.65, 0.4)
 _ERROR_PX = (0.4, 0.7)
 _RESIDUAL_DEG = (4.0, 7.0)
-_CONDITION = (12.0, 30.0)
 _CHANGE = (0.005, 0.02)  # of M in the last round, as a share
 _SHAPE_PERCENT = (0.15, 0.5)
 
@@ -167,7 +166,7 @@ def _light_section(frames: list[_ShownFrame], rig: Rig, result: HeadCalibration)
             page.PageTable(
                 headings=("", "towards x, y, z", "off the axis", "about it, 0 right, 90 up"), rows=rows
             ),
-            page.PageTable(headings=("M", "n_x", "n_y", "n_z"), rows=matrix, numeric=True),
+            page.PageTable(headings=("M", "n_x", "n_y", "n_z"), rows=matrix, right=(1, 2, 3)),
         ),
     )
 
@@ -177,7 +176,7 @@ def _times_section(rig: Rig, result: HeadCalibration) -> page.PageSection:
     return page.PageSection(
         title="Time and sources",
         tables=(
-            page.PageTable(headings=("stage", "time"), rows=times, numeric=True),
+            page.PageTable(headings=("stage", "time"), rows=times, right=(1,)),
             page.table_of_sources("file", rig),
         ),
     )
@@ -217,18 +216,17 @@ def _pixels_of(figure: Figure) -> ByteArray:
 def numbers_of_head(rig: Rig, result: HeadCalibration) -> tuple[page.PageNumber, ...]:
     """Return turn, errors, agreement and condition, graded."""
     motion, quality = result.motion, result.light.quality
-    agreeing, condition = float(result.light.inliers.mean()), rig.response.condition_number
+    agreeing = float(result.light.inliers.mean())
     tracks = f"{len(motion.point):,} tracks, {motion.observations:,} observations"
     samples = f"of {len(result.samples.point):,} on one M"
     by_shape = "normal by colour against normal by shape"
-    of_lights = "set by the lights' directions and colours"
     turn, residual = motion.turn_deg, quality.residual_deg
     numbers = [
         page.graded("turn of the head", f"{turn:.0f}°", turn, _TURN_DEG, "between the two ends"),
         page.graded("reprojection error", f"{motion.error_px:.2f} px", motion.error_px, _ERROR_PX, tracks),
         page.graded("samples that agree", f"{agreeing:.0%}", agreeing, _AGREEING, samples),
         page.graded("median residual", f"{residual:.1f}°", residual, _RESIDUAL_DEG, by_shape),
-        page.graded("condition number of M", f"{condition:.1f}", condition, _CONDITION, of_lights),
+        page.condition_of(rig.response),
     ]
     if (refined := result.refined) is not None:
         assert refined.mesh.error_deg is not None

@@ -17,7 +17,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import partial
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler
 from typing import Any
@@ -25,7 +25,7 @@ from urllib.parse import parse_qs, urlsplit
 
 from vntoolkit.errors import BadInput, CannotWrite, VntError
 from vntoolkit.options.pages import ViewerOptions
-from vntoolkit.report.rendering import content_policy
+from vntoolkit.report.rendering import scene_policy
 
 _PORTS_TRIED = 100
 _REQUEST_S = 10.0  # for a whole request to come; a page that asks for nothing is let go after it too
@@ -44,26 +44,20 @@ class LocalServer:
         page: str,
         answers: Mapping[str, Answer],
         posts: Mapping[str, Answer] | None = None,
-        *,
-        script: str = "scene.js",
     ) -> None:
         """Listen at once. Raises `CannotWrite` for an address that is not ours.
 
         answers: by path, such as `/frame`; called with the query, they return what is sent, or None where
-        there never will be anything. posts: the same on a POST to these paths. script: name of the page's own
-        script, the only one that a browser will run.
+        there never will be anything. posts: the same on a POST to these paths.
         """
         self.token = secrets.token_urlsafe(_TOKEN_BYTES)
         self._host = options.host
-        names = _own_names(options.host)
-
         site = _Site(
             page=page.encode(),
             answers=answers,
             posts=posts or {},
             token=self.token,
-            names=names,
-            script=script,
+            names=_own_names(options.host),
         )
         self._server = _listening(options.host, options.port, partial(_Handler, site))
         self._thread = threading.Thread(
@@ -98,7 +92,6 @@ class _Site:
     posts: Mapping[str, Answer]
     token: str
     names: frozenset[str | None]
-    script: str
 
 
 def _own_names(host: str) -> frozenset[str | None]:
@@ -224,7 +217,7 @@ class _Handler(BaseHTTPRequestHandler):
         """Say how the page may be used: by itself, in no frame, kept by nobody."""
         self.send_header(
             "Content-Security-Policy",
-            f"{content_policy(self.site.script)}; connect-src 'self'; frame-ancestors 'none'",
+            f"{scene_policy()}; connect-src 'self'; frame-ancestors 'none'",
         )
         self.send_header("X-Frame-Options", "DENY")
         self.send_header("X-Content-Type-Options", "nosniff")
@@ -246,7 +239,6 @@ def _is_address(name: str) -> bool:
     return True
 
 
-@cache
 class _Listener(socketserver.ThreadingTCPServer):
     daemon_threads = True
     allow_reuse_address = True

@@ -10,6 +10,7 @@ import numpy as np
 from vntoolkit import progress
 from vntoolkit.arrays import ByteArray, Colours, FloatArray, IntArray, Points, Vector3
 from vntoolkit.checks import require_finite
+from vntoolkit.display import SCREEN_GAMMA
 from vntoolkit.errors import BadInput, BadMesh
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.motion import bone_segments, pose_of_frame
@@ -26,7 +27,6 @@ _AMBIENT = 0.12
 _ROOM = 1.15  # height of a picture over its subject's
 _FINER = 2  # samples along each side of a pixel, averaged: smooth edges
 _LIGHT = np.array([-0.35, -0.55, -0.76])  # from the surface, in the axes of the view (y down)
-_GAMMA = 2.2  # of the display
 _AWAY = 100.0  # heights of the picture, to the viewer: depths in float32 tell a thousandth of a pixel apart
 _UNMOVED = np.eye(4, dtype=np.float32)
 
@@ -70,7 +70,7 @@ def picture_of(meshes: Sequence[Mesh], view: View) -> ByteArray:
     orthographic one.
     """
     size = _FINER * view.height_px, _FINER * view.width_px
-    picture = np.tile(np.power(BACKGROUND, _GAMMA).astype(np.float32), (*size, 1))
+    picture = np.tile(np.power(BACKGROUND, SCREEN_GAMMA).astype(np.float32), (*size, 1))
     depths = np.full(size, 2 * _AWAY, np.float32)
     settings = cv2.TriangleRasterizeSettings().setCullingMode(cv2.RASTERIZE_CULLING_NONE)
     settings = settings.setShadingType(cv2.RASTERIZE_SHADING_SHADED)
@@ -89,7 +89,7 @@ def picture_of(meshes: Sequence[Mesh], view: View) -> ByteArray:
                 points, order, colours, picture, depths, _UNMOVED, angle, 1.0, 2 * _AWAY, settings
             )
     smooth = cv2.resize(picture, (view.width_px, view.height_px), interpolation=cv2.INTER_AREA)
-    return (np.clip(smooth, 0, 1) ** (1 / _GAMMA) * 255 + 0.5).astype(np.uint8)
+    return (np.clip(smooth, 0, 1) ** (1 / SCREEN_GAMMA) * 255 + 0.5).astype(np.uint8)
 
 
 def _lit_colours(mesh: Mesh, corners: FloatArray) -> Colours:

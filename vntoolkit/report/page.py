@@ -18,12 +18,14 @@ from vntoolkit.io.atomic import write_text
 from vntoolkit.io.files import read_bytes
 from vntoolkit.io.footage.image_writing import encoded_image
 from vntoolkit.io.results.manifest import now_utc
+from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.report.pictures import report_style
 from vntoolkit.report.rendering import rendered
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+_CONDITION = (10.0, 30.0)  # good up to the first, poor beyond the second
 _KINDS = {
     ".png": "image/png",
     ".jpg": "image/jpeg",
@@ -45,15 +47,13 @@ class PageFigure:
 
 @dataclass(frozen=True, kw_only=True)
 class PageTable:
-    """Rows of text under headings. numeric: cells from the second column on are set to the right.
+    """Rows of text under headings. right: places of the columns that are set to the right.
 
-    folded: shown only when this line is clicked; empty for shown at once. right: places of the columns that
-    are set to the right where not all of them are.
+    folded: shown only when this line is clicked; empty for shown at once.
     """
 
     headings: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
-    numeric: bool = False
     folded: str = ""
     right: tuple[int, ...] = ()
 
@@ -98,6 +98,12 @@ class PageSection:
     notices: tuple[PageNotice, ...] = ()
     figures: tuple[PageFigure, ...] = ()
     tables: tuple[PageTable, ...] = ()
+
+
+def condition_of(response: LightResponse) -> PageNumber:
+    """Return M's condition number, graded."""
+    number, of_lights = response.condition_number, "set by the lights' directions and colours"
+    return graded("condition number of M", f"{number:.1f}", number, _CONDITION, of_lights)
 
 
 def table_of_sources(heading: str, rig: Rig) -> PageTable:

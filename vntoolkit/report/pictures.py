@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from vntoolkit.arrays import ByteArray, FloatArray, LinearImage, Mask, VisibilityLabels
+from vntoolkit.arrays import ByteArray, FloatArray, LinearImage, Mask, VisibilityLabels, box_of
+from vntoolkit.display import SCREEN_GAMMA
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, NormalMap
@@ -99,12 +100,11 @@ GROUND = 255  # grey value where a map is invalid
 _LIGHT = np.array([-0.45, -0.55, -0.70])  # from the surface: left, above, before it
 _AMBIENT = 0.10
 _PLASTER = 0.78
-_DISPLAY_GAMMA = 1 / 2.2
 
 
 def displayed(linear: FloatArray | LinearImage) -> Picture:
     """Return linear light (h, w, 3), full scale 1, as a screen shows it."""
-    return (255 * np.clip(linear, 0, 1) ** _DISPLAY_GAMMA).astype(np.uint8)
+    return (255 * np.clip(linear, 0, 1) ** (1 / SCREEN_GAMMA)).astype(np.uint8)
 
 
 def pictures_of_frame(
@@ -149,7 +149,7 @@ def picture_of_depth(depth_map: DepthMap, camera: Camera, ground: int = GROUND) 
     normals = normals_from_depth(depth_map, camera)
     light = _LIGHT / np.linalg.norm(_LIGHT)
     brightness = _AMBIENT + (1 - _AMBIENT) * np.clip(normals @ light, 0, 1)
-    grey = 255 * np.clip(_PLASTER * brightness, 0, 1) ** _DISPLAY_GAMMA
+    grey = 255 * np.clip(_PLASTER * brightness, 0, 1) ** (1 / SCREEN_GAMMA)
     seen = depth_map.mask & (normals[..., 2] != 0)
     return np.repeat(np.where(seen, grey, ground)[..., None], 3, axis=2).astype(np.uint8)
 
@@ -188,18 +188,13 @@ def normals_from_depth(depth_map: DepthMap, camera: Camera) -> FloatArray:
 
 def cropped(pictures: list[Picture], mask: Mask, margin_px: int = 6) -> list[Picture]:
     """Cut pictures of one size to the box around a mask, the same for all."""
-    if not mask.any():
-        return pictures
-    v, u = np.nonzero(mask)
-    rows = slice(max(0, v.min() - margin_px), v.max() + 1 + margin_px)
-    columns = slice(max(0, u.min() - margin_px), u.max() + 1 + margin_px)
-    return [picture[rows, columns] for picture in pictures]
+    box = box_of(mask, margin_px)
+    return [picture[box] for picture in pictures] if mask.any() else pictures
 
 
 _PAGE_PX = 1060  # where a page shows a picture of this width, letters have their size as written
 _LETTER_PX, _LINE_PX, _GAP_PX = 12.0, 24, 8
 _SWATCH_PX, _ENTRY_PX, _SCALE_PX = 13, 170, 260
-_DPI = 100
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -208,6 +203,9 @@ class ErrorScale:
 
     most: float
     unit: str = "°"
+
+
+NORMAL_ERRORS = ErrorScale(most=30.0)
 
 
 @dataclass(frozen=True, kw_only=True)

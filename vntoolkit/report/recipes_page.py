@@ -23,14 +23,13 @@ from vntoolkit.io.footage.images import read_image
 from vntoolkit.report import page
 
 NUMBERS_NAME = "numbers.json"
-_KEYS = {"what", "paper", "ours", "unit"}
 _DRAWN = (".svg",)
 _PAINTED = (".png", ".jpg", ".jpeg", ".webp")
 _WIDEST_PX = 1800
 _LARGEST_PNG = 1_500_000  # bytes; a larger one goes on the page as JPEG
 _DIGITS = 4
 _NOTHING = "–"
-_HEADINGS = ("what", "paper", "ours", "unit")
+_HEADINGS = ("what", "paper", "ours", "unit")  # and keys
 _MOST_ROWS = 12  # more are folded away
 _FIGURE = re.compile(r"^([\w.-]+\.(?:png|jpe?g|webp|svg)): (.+)$")
 
@@ -66,12 +65,10 @@ def read_numbers(folder: Path) -> list[RecipeNumber]:
         return []
     rows = read_json(path)
     if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
-        raise BadInput(f"{path}: expected a list of objects with the keys {', '.join(sorted(_KEYS))}")
+        raise BadInput(f"{path}: expected a list of objects with the keys {', '.join(_HEADINGS)}")
     for row in rows:
-        if set(row) != _KEYS:
-            raise BadInput(
-                f"{path}: expected the keys {', '.join(sorted(_KEYS))}, got {', '.join(sorted(row))}"
-            )
+        if set(row) != set(_HEADINGS):
+            raise BadInput(f"{path}: expected the keys {', '.join(_HEADINGS)}, got {', '.join(row)}")
     return [
         RecipeNumber(what=str(row["what"]), paper=row["paper"], ours=row["ours"], unit=str(row["unit"] or ""))
         for row in rows
@@ -217,8 +214,7 @@ def number(what: str, ours: float | str, unit: str, paper: float | str | None = 
 def write_numbers(folder: Path, numbers: Sequence[RecipeNumber]) -> str:
     """Write numbers.json into a recipe's folder, and return them as lines to print."""
     rows = [dataclasses.asdict(each) for each in numbers]
-    ordered = [{key: row[key] for key in ("what", "paper", "ours", "unit")} for row in rows]
-    write_text(folder / NUMBERS_NAME, json.dumps(ordered, indent=1) + "\n")
+    write_text(folder / NUMBERS_NAME, json.dumps(rows, indent=1) + "\n")
     return "\n".join(_line(each) for each in numbers)
 
 

@@ -224,7 +224,6 @@ def _marker(count: int) -> dict[str, Any]:
 
 _SHEET_PX = 1600
 _TITLES = {"depth": "relief", "dents": "depth in mm", "shadows": "lights that arrive"}
-_ERRORS = pictures.ErrorScale(most=30.0)
 _BESIDE = 205  # grey beside the subject, since white means that all lights arrive
 
 
@@ -239,7 +238,7 @@ def samples_section(result: OpenedResult, count: int, height_px: int) -> page.Pa
         legend=({pictures.short_label(int(label)): pictures.web_colour(int(label)) for label in LABEL_LEGEND})
         if labelled
         else None,
-        scale=_ERRORS if any("expected error" in row for row in rows) else None,
+        scale=pictures.NORMAL_ERRORS if any("expected error" in row for row in rows) else None,
         height_px=height_px,
     )
     words = list(dict.fromkeys(name for row in rows for name in row))
@@ -267,7 +266,7 @@ def _parts(result: OpenedResult, number: int) -> dict[str, pictures.Picture]:
     parts = pictures.pictures_of_frame(result, number, ground=pictures.GROUND, beside_labels=_BESIDE)
     if normal_map.error_deg is not None:
         parts["expected error"] = pictures.picture_of_errors(
-            normal_map.error_deg, normal_map.mask, _ERRORS, pictures.GROUND
+            normal_map.error_deg, normal_map.mask, pictures.NORMAL_ERRORS, pictures.GROUND
         )
     titles = [_TITLES.get(name, name) for name in parts]
     return dict(zip(titles, pictures.cropped(list(parts.values()), normal_map.mask), strict=True))
@@ -358,7 +357,6 @@ def settings_section(result: OpenedResult) -> page.PageSection:
 
 # Bounds between good, fair and poor, by experience with simulated captures; they only colour the numbers.
 _RESIDUAL_DEG = (2.0, 5.0)
-_CONDITION = (10.0, 30.0)
 _CONE_DEG = (35.0, 20.0)
 _HISTOGRAM_CELLS = 60
 _LARGEST_SAMPLE = 200_000
@@ -380,9 +378,7 @@ def calibration_section(result: OpenedResult, sample: int) -> page.PageSection:
 
 
 def _numbers(result: OpenedResult) -> tuple[page.PageNumber, ...]:
-    quality, response = result.rig.quality, result.rig.response
-    number, of_lights = response.condition_number, "set by the lights' directions and colours"
-    condition = page.graded("condition number of M", f"{number:.1f}", number, _CONDITION, of_lights)
+    quality, condition = result.rig.quality, page.condition_of(result.rig.response)
     if quality is None or quality.samples == 0:
         method = "stated" if quality is None else quality.method
         known = page.PageNumber(

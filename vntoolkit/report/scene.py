@@ -20,7 +20,7 @@ from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.io.conventions import graphics_from_camera
 from vntoolkit.options.depth import MeshOptions
 from vntoolkit.options.export import NormalConvention
-from vntoolkit.report.rendering import page_from_template
+from vntoolkit.report.rendering import rendered, scene_policy, scene_text
 
 _NONE = 65535  # depth step of a pixel without depth
 _STEPS = 65535
@@ -164,6 +164,15 @@ def scene_page(title: str, mode: str, setup: Mapping[str, Any]) -> str:
     """
     known = {name: setup.get(name, False) for name in ("records", "captured")}
     known |= {"lost_px": setup.get("lost_px"), "findings": setup.get("findings", ())}
-    return page_from_template(
-        "scene.html.j2", script="scene.js", title=title, setup={"mode": mode, **known, **setup}
+    told = {"mode": mode, **known, **setup}
+    return rendered(
+        "scene.html.j2",
+        **{
+            **told,
+            "title": title,
+            "setup": json.dumps(told, separators=(",", ":")).replace("<", "\\u003c"),  # no end of the script
+            "style": scene_text("scene.css"),
+            "script": scene_text("scene.js"),
+            "policy": scene_policy() if mode == "file" else None,
+        },
     )

@@ -15,7 +15,6 @@ from vntoolkit.report import page, pictures
 from vntoolkit.report.mesh_views import View, picture_of
 
 _STRIP_PX = 340
-_SCALE = pictures.ErrorScale(most=30.0)
 _VIEWS_DEG = (-50.0, -20.0, 20.0, 50.0)
 _VIEW_PX = 320
 
@@ -71,12 +70,12 @@ def _strip(result: OpenedResult, simulated: Path, number: int) -> page.PageFigur
     shown = [
         pictures.picture_of_normals(measured),
         pictures.picture_of_normals(truth),
-        pictures.picture_of_errors(errors, both, _SCALE),
+        pictures.picture_of_errors(errors, both, pictures.NORMAL_ERRORS),
     ]
     cut = pictures.cropped(shown, measured.mask | truth.mask)
     row = dict(zip(("normals found", "true normals", "angle between them"), cut, strict=True))
     caption = f"Frame {number}: the normals against the true ones; brighter is worse, white was not compared."
-    pixels = pictures.tiled([row], scale=_SCALE, height_px=_STRIP_PX)
+    pixels = pictures.tiled([row], scale=pictures.NORMAL_ERRORS, height_px=_STRIP_PX)
     return page.figure_from_pixels(pixels, caption, suffix=".webp", wide=True)
 
 
@@ -117,7 +116,7 @@ def _cumulative_figure(result: OpenedResult, simulated: Path, number: int) -> pa
         for limit in (5, 10, 20):
             axes.axvline(limit, color=pictures.FAINT, lw=0.8, ls=":")
         axes.set(
-            xlim=(0, _SCALE.most),
+            xlim=(0, pictures.NORMAL_ERRORS.most),
             ylim=(0, 101),
             xlabel="angle to the true normal, degrees",
             ylabel="pixels below it, %",
@@ -152,8 +151,8 @@ def _table(frames: Sequence[truth_comparison.FrameComparison]) -> page.PageTable
             "% of diagonal",
         ),
         rows=tuple(rows),
-        numeric=True,
         folded="every frame",
+        right=tuple(range(1, 8)),
     )
 
 

@@ -27,17 +27,16 @@ from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import HALF_WEIGHT_DEG, DepthMap
 from vntoolkit.tracking.body_motion import BodyMotion
 from vntoolkit.tracking.lattice import TemplateLattice
+from vntoolkit.tracking.modes import STRAIN
 from vntoolkit.tracking.slopes import Slopes, sample_depth
 from vntoolkit.tracking.surface_metric import MeanMetric, SurfaceMetric
 from vntoolkit.tracking.template import TrackingTemplate
 
 STRAIN_PASSES = 4  # of lattice smoothing: strain that is not foreseen goes on over some cells
-_CONTOUR_STRAIN = 1.0  # across an occluding contour: how much is hidden there is not known
 _CONTOUR_STEEPNESS = 3.0  # squared slope, 60°, by which a surface recedes, and then no longer: a contour
-_STRAIN = 0.07  # standard deviation of stretch, where none is measured: cloth has 0.03 to 0.1, skin up to 0.3
 _BODY = 0.3  # the same beside the whole's motion: of a face that talks, a cloth that swings
 _PRIOR_EDGES = 0.2  # measured edges nearby that the two count for
-_NEAR_PASSES = 8  # of lattice smoothing: how far around the success of either counts
+NEAR_PASSES = 8  # of lattice smoothing: how far around residuals of edges tell of a place
 _NORMAL_ERROR = 0.05  # radians: shading that departs from the model turns normals by 3°
 _INDEPENDENT = 3.0  # errors by weight in a cell: light that is not foreseen turns most of its normals alike
 _MISTAKEN = 0.05  # share of lengths that are another surface's
@@ -116,14 +115,14 @@ class EdgePrior:
         whole = self._motion.fitted(now - self.centres, measured + _LEAST_RELIABLE)
         by_body = self.along + whole[b] - whole[a]
         steps, square = now[b] - now[a], self._square
-        of_lengths = self._near_mean(_strain(steps - by_lengths, square), observable, _STRAIN**2) + of_normals
+        of_lengths = self._near_mean(_strain(steps - by_lengths, square), observable, STRAIN**2) + of_normals
         of_body = self._near_mean(_strain(steps - by_body, square), observable, _BODY**2)
         apart = np.sum((by_lengths - by_body) ** 2, axis=1) / square
         right = share_right(1.0 - _MISTAKEN, apart, of_lengths + of_body)
         share = right * of_body / (of_lengths + of_body)
         likely = np.minimum((contour + self._contour) / _CONTOUR_STEEPNESS, 1.0)
         variance = square * np.minimum(of_lengths, of_body)
-        slip = square * (_CONTOUR_STRAIN * likely) ** 2
+        slip = square * likely**2  # across a contour as much as an edge is long may be hidden
         return Prior(
             steps=share[:, None] * by_lengths + (1.0 - share)[:, None] * by_body,
             variance=variance + slip,
@@ -176,7 +175,7 @@ class EdgePrior:
         for end in self.edges.T:
             sums[:, 0] += np.bincount(end, weight * value, minlength=count)
             sums[:, 1] += np.bincount(end, weight, minlength=count)
-        sums = self._lattice.smoothed(sums, _NEAR_PASSES) / 3.0**_NEAR_PASSES
+        sums = self._lattice.smoothed(sums, NEAR_PASSES) / 3.0**NEAR_PASSES
         means = [
             (sums[end, 0] + _PRIOR_EDGES * prior) / (sums[end, 1] + _PRIOR_EDGES) for end in self.edges.T
         ]

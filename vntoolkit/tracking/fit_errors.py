@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from vntoolkit.arrays import FloatArray
-from vntoolkit.tracking.edge_prior import STRAIN_PASSES, EdgePrior
+from vntoolkit.tracking.edge_prior import NEAR_PASSES, STRAIN_PASSES, EdgePrior
 from vntoolkit.tracking.factors import Factor, cholesky, full_of
 from vntoolkit.tracking.lattice import NODES_BY_PASS, TemplateLattice
 from vntoolkit.tracking.lattice_system import LatticeSolution
@@ -29,7 +29,6 @@ from vntoolkit.tracking.modes import slow_monomials
 
 _SAMPLES = 16
 _PRIOR = 0.1  # share of the given strain in what is found
-_NEAR_PASSES = 8  # of lattice smoothing: how far around residuals of edges tell of a place
 
 
 class FitErrors:
@@ -106,7 +105,7 @@ class FitErrors:
         m, (a, b) = self._lattice.count, self._edges.T
         squares = [np.square(each).sum(axis=(1, 2)) for each in residuals]
         sums = np.stack([np.bincount(a, x, m) + np.bincount(b, x, m) for x in squares], axis=1)
-        found, usual = self._lattice.smoothed(sums, _NEAR_PASSES).T
+        found, usual = self._lattice.smoothed(sums, NEAR_PASSES).T
         square = _PRIOR + (1.0 - _PRIOR) * _SAMPLES * found / np.maximum(usual, 1e-12)
         return np.asarray(np.sqrt(square / square.mean()))
 

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy.fft
 
-from vntoolkit.arrays import Flow, Mask, Points, Points2
+from vntoolkit.arrays import Flow, Mask, Points, Points2, box_of
 from vntoolkit.checks import require_same_size
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, NormalMap
@@ -25,7 +25,6 @@ _OUTLIER_PX = 1.5  # a lattice vector this far from the median of its 5×5 neigh
 _FAR_CELLS = 8.0  # reach of the extrapolation beyond the mask, lattice spacings
 _DIS_MUST_BEAT = 0.6  # share of the other start's residual below which DIS's is believed
 _DOUBTFUL = 2.0  # times the median residual, above which a point tries DIS's start too
-_FEW = 0.01  # share of doubtful points below which DIS is not worth its time
 _SMALLEST_DIS_SIDE = 32  # OpenCV's DIS fails below
 _SURE = 8.0  # standard deviations of a correlation over all shifts, of which there are some 100,000
 _RELIEF_SIGMA_PX = 4.0  # of the mean that is taken off the normals
@@ -61,7 +60,7 @@ def bytes_from_normals(normal_map: NormalMap) -> ReliefBytes:
     a knit. On the simulated sweater this halves the error of 30 chained frames.
     """
     bytes_ = np.full((*normal_map.shape, 3), 128, dtype=np.uint8)
-    box = _box(normal_map.mask, _RELIEF_SIGMA_PX)
+    box = box_of(normal_map.mask, int(5 * _RELIEF_SIGMA_PX))  # a Gaussian reaches no farther
     mask = normal_map.mask[box]
     weight = mask.astype(np.float32)
     normals = normal_map.normals_in_camera[box] * weight[..., None]
@@ -110,7 +109,7 @@ def _shift_of_best_correlation(
     0 where the correlation is less than `sure` standard deviations over all shifts of the picture: it may be
     chance. Only what is not 0 is transformed, since the rest correlates with nothing.
     """
-    first_box, second_box = (_box(np.any(each, axis=-1), 0.0) for each in (before, after))
+    first_box, second_box = (box_of(np.any(each, axis=-1), 1) for each in (before, after))
     sides = np.add(before[first_box].shape[:2], after[second_box].shape[:2])
     size = [scipy.fft.next_fast_len(int(side), real=True) for side in sides]  # nothing wraps around
     first, second = (
@@ -202,7 +201,7 @@ def _followed(
     ended, found, residual = _lucas_kanade(before, after, points, points + start[v, u])
     usual = np.median(residual[found > 0]) if found.any() else 0.0
     doubtful = (found == 0) | (residual > _DOUBTFUL * usual)
-    if np.mean(doubtful) < _FEW:
+    if not doubtful.any():
         return ended, found
     u, v = u[doubtful], v[doubtful]
     guess = points[doubtful] + _dis(before, after)[v, u]
@@ -255,14 +254,3 @@ def _interpolated(vectors: Flow, weights: npt.NDArray[np.float32]) -> npt.NDArra
     total[..., :2] += 1e-12 * stacked[..., :2].sum(axis=(0, 1))
     total[..., 2] += 1e-12 * stacked[..., 2].sum()
     return np.asarray(total[..., :2] / np.maximum(total[..., 2:], 1e-30), dtype=np.float32)
-
-
-def _box(mask: Mask, sigma_px: float) -> tuple[slice, slice]:
-    """Rows and columns of the mask and of what a Gaussian reaches around it: elsewhere there is nothing."""
-    reach = int(5 * sigma_px)
-    sides = []
-    for axis, length in enumerate(mask.shape):
-        used = np.flatnonzero(mask.any(axis=1 - axis))
-        first, last = (used[0], used[-1]) if used.size else (0, 0)
-        sides.append(slice(max(0, int(first) - reach), min(length, int(last) + 1 + reach)))
-    return sides[0], sides[1]

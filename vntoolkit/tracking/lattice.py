@@ -15,11 +15,9 @@ import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
 from vntoolkit.arrays import FloatArray, Points2
-from vntoolkit.native import njit
 from vntoolkit.tracking.template import TrackingTemplate
 
 NODES_BY_PASS = 4.2  # that smoothing averages: 4π σ², with σ² a third of a squared cell by pass
-_JACOBIAN_PASSES = 1  # of smoothing: over a cell and its neighbours
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -82,9 +80,7 @@ def lattice_on_template(template: TrackingTemplate, cell_px: int) -> TemplateLat
     edges = _edges(node[first], node[second], nodes)
     cell_of_node = np.zeros(nodes, dtype=np.int64)
     cell_of_node[node] = cell
-    taps, shares = _taps(
-        template.pixels, cell_px, columns, node.astype(np.int32), cell_of_node, edges.indptr, edges.indices
-    )
+    taps, shares = _taps(template.pixels, cell_px, columns, node, cell_of_node, edges)
     return TemplateLattice(
         node_of_vertex=node.astype(np.int32),
         taps=taps,
@@ -116,7 +112,7 @@ class LocalJacobians:
         self._x = pixels - self._centre
         ones = np.ones((len(pixels), 1))
         x, y = self._x[:, :1], self._x[:, 1:]
-        sums = lattice.smoothed(lattice.sums(np.hstack([ones, x, y, x * x, x * y, y * y])), _JACOBIAN_PASSES)
+        sums = lattice.smoothed(lattice.sums(np.hstack([ones, x, y, x * x, x * y, y * y])), 1)
         self._count, self._mean = sums[:, 0], sums[:, 1:3] / sums[:, :1]
         xx = sums[:, 3] - self._count * self._mean[:, 0] ** 2
         xy = sums[:, 4] - self._count * self._mean[:, 0] * self._mean[:, 1]
@@ -130,47 +126,36 @@ class LocalJacobians:
         """Return (nodes, 4): ∂u/∂x, ∂u/∂y, ∂v/∂x, ∂v/∂y of positions (n, 2) by the template's pixels."""
         moved = positions_px - self._centre - self._x
         moments = np.hstack([moved, moved[:, :1] * self._x, moved[:, 1:] * self._x])
-        sums = self._lattice.smoothed(self._lattice.sums(moments), _JACOBIAN_PASSES)
+        sums = self._lattice.smoothed(self._lattice.sums(moments), 1)
         mixed = sums[:, 2:].reshape(-1, 2, 2) - sums[:, :2, None] * self._mean[:, None, :]
         return np.asarray((mixed @ self._inverse + np.eye(2)).reshape(-1, 4))
 
 
-@njit
-def _taps(pixels, cell_px, columns, node, cell_of_node, starts, neighbours):  # type: ignore[no-untyped-def]
+def _taps(
+    pixels: npt.NDArray[np.int32],
+    cell_px: int,
+    columns: int,
+    node: npt.NDArray[np.int32],
+    cell_of_node: npt.NDArray[np.int64],
+    edges: sp.csr_array,
+) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.float32]]:
     """Of the four cells around each vertex, the pieces that its own reaches in two steps, or its own."""
-    n = len(node)
-    taps, shares = np.zeros((n, 4), dtype=np.int32), np.zeros((n, 4), dtype=np.float32)
-    for i in range(n):
-        x = (pixels[i, 0] + 0.5) / cell_px - 0.5
-        y = (pixels[i, 1] + 0.5) / cell_px - 0.5
-        u, v = int(np.floor(x)), int(np.floor(y))
-        total = 0.0
-        for corner in range(4):
-            du, dv = corner % 2, corner // 2
-            found = -1
-            if 0 <= u + du < columns:
-                wanted = (v + dv) * columns + u + du
-                found = _reached(node[i], wanted, cell_of_node, starts, neighbours)
-            taps[i, corner] = max(found, 0)
-            if found >= 0:
-                a, b = x - u, y - v
-                shares[i, corner] = (a if du else 1 - a) * (b if dv else 1 - b)
-                total += shares[i, corner]
-        for corner in range(4):
-            shares[i, corner] /= total
-    return taps, shares
-
-
-@njit
-def _reached(own, wanted, cell_of_node, starts, neighbours):  # type: ignore[no-untyped-def]
-    if cell_of_node[own] == wanted:
-        return own
-    for p in range(starts[own], starts[own + 1]):
-        if cell_of_node[neighbours[p]] == wanted:
-            return neighbours[p]
-    for p in range(starts[own], starts[own + 1]):
-        near = neighbours[p]
-        for q in range(starts[near], starts[near + 1]):
-            if cell_of_node[neighbours[q]] == wanted:
-                return neighbours[q]
-    return -1
+    own = np.arange(len(cell_of_node))
+    beside, two_away = np.repeat(own, np.diff(edges.indptr)), edges[edges.indices]
+    starts = np.concatenate([own, beside, np.repeat(beside, np.diff(two_away.indptr))])
+    reached = np.concatenate([own, edges.indices, two_away.indices])
+    cells = int(cell_of_node.max()) + 1
+    known, nearest = np.unique(starts * cells + cell_of_node[reached], return_index=True)
+    place = (pixels + 0.5) / cell_px - 0.5
+    low = np.floor(place).astype(np.int64)
+    corners = np.array([[0, 0], [1, 0], [0, 1], [1, 1]])
+    u, v = np.moveaxis(low[:, None] + corners, -1, 0)
+    wanted = v * columns + u
+    inside = (u >= 0) & (u < columns) & (wanted >= 0) & (wanted < cells)
+    codes = node[:, None].astype(np.int64) * cells + wanted
+    found = np.minimum(np.searchsorted(known, codes), len(known) - 1)
+    inside &= known[found] == codes
+    part = (place - low)[:, None]
+    shares = (inside * np.where(corners, part, 1.0 - part).prod(axis=2)).astype(np.float32)
+    taps = np.where(inside, reached[nearest[found]], 0).astype(np.int32)
+    return taps, shares / shares.sum(axis=1, keepdims=True)

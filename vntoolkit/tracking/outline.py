@@ -15,10 +15,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from vntoolkit.arrays import FloatArray, Mask, Points2
+from vntoolkit.arrays import FloatArray, Mask, Points2, box_of
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap
-from vntoolkit.native import njit
 from vntoolkit.tracking.factors import Factor, total
 from vntoolkit.tracking.lattice import TemplateLattice
 from vntoolkit.tracking.slopes import Slopes, sample_image
@@ -29,8 +28,9 @@ _SIGMA_PX = 0.3  # of the outline along one cell: pixels are whole
 # falls to 0 at a contour, in proportion to the distance: it is measured in two boxes and extrapolated.
 _OPEN_FACING = (0.35, 0.6)
 _BOXES_PX = (7, 15)
+# Around the figure: no mean, and no step across a contour that touches it, reaches beyond.
+_MARGIN_PX = _BOXES_PX[-1]
 _PER_BOX = np.float32(_BOXES_PX[0] / (_BOXES_PX[1] - _BOXES_PX[0]))
-_HALF_OPEN = 0.5
 _BAND_PX = 2.0  # of vertices that are the border
 _BORDER_PX = 4  # beside the image's own border there is no outline
 _NARROW_GAP_PX = 9  # width of gaps that are no outline: dark pixels, as between strands of hair, come and go
@@ -127,7 +127,7 @@ def outline_of_silhouette(mask: Mask, slopes: Slopes) -> npt.NDArray[np.float32]
     length = np.maximum(np.hypot(right, down), np.float32(1e-6))
     smooth = cv2.GaussianBlur(distance, (0, 0), 1.0)
     silhouette = cv2.merge([smooth, right / length, down / length, np.zeros_like(smooth)])
-    box = _around(mask)
+    box = box_of(mask, _MARGIN_PX)
     silhouette[(*box, 3)] = _openness(slopes[box])
     return np.asarray(silhouette, np.float32)
 
@@ -145,7 +145,7 @@ def _openness(slopes: Slopes) -> npt.NDArray[np.float32]:
 
 def contour_distance(silhouette: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
     """(h, w) distance in pixels from the nearest occluding contour on the outline (h, w, 4) of a figure."""
-    contour = (np.abs(silhouette[..., 0]) < 1.0) & (silhouette[..., 3] < _HALF_OPEN)
+    contour = (np.abs(silhouette[..., 0]) < 1.0) & (silhouette[..., 3] < 0.5)  # rather closed than open
     if not contour.any():
         return np.full(contour.shape, np.inf, np.float32)
     return np.asarray(cv2.distanceTransform((~contour).astype(np.uint8), cv2.DIST_L2, 5), np.float32)
@@ -157,7 +157,7 @@ def signed_distance(mask: Mask) -> npt.NDArray[np.float32]:
     if filled.all():
         return np.full(mask.shape, -1e3, dtype=np.float32)
     distance = np.asarray(cv2.distanceTransform(1 - filled, cv2.DIST_L2, 5), np.float32) - np.float32(0.5)
-    box = _around(mask)
+    box = box_of(mask, _MARGIN_PX)
     inside = cv2.distanceTransform(filled[box], cv2.DIST_L2, 5)
     distance[box] = np.where(filled[box], np.float32(0.5) - inside, distance[box])
     return distance
@@ -167,7 +167,7 @@ def _without_gaps(mask: Mask) -> Mask:
     """Fill holes, which may be something dark that passes before the figure, and narrow gaps."""
     if not mask.any():
         return mask
-    box = _around(mask)
+    box = box_of(mask, _MARGIN_PX)
     grow, shrink = (np.ones((n, n), np.uint8) for n in (_NARROW_GAP_PX, _NARROW_GAP_PX + 2 * _UNFILLED_PX))
     deep = cv2.erode(cv2.dilate(mask[box].astype(np.uint8), grow), shrink) > 0
     filled = mask.copy()
@@ -175,28 +175,12 @@ def _without_gaps(mask: Mask) -> Mask:
     return filled
 
 
-def _around(mask: Mask) -> tuple[slice, slice]:
-    """Return the box of the figure with a margin; of an empty mask, one pixel.
-
-    No box of means and no step across a contour that touches the figure reaches beyond.
-    """
-    margin = _BOXES_PX[-1]
-    rows, columns = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
-    if not len(rows):
-        return slice(1), slice(1)
-    low, high = (rows[0], columns[0]), (rows[-1], columns[-1])
-    row, column = (
-        slice(max(0, int(a) - margin), int(b) + 1 + margin) for a, b in zip(low, high, strict=True)
-    )
-    return row, column
-
-
 def occluding_contours(slopes: Slopes, mask: Mask) -> Mask:
     """Return (h, w) True within reach of an occluding contour.
 
     A faint one counts where it prolongs a sure one.
     """
-    contours, box = np.zeros_like(mask), _around(mask)
+    contours, box = np.zeros_like(mask), box_of(mask, _MARGIN_PX)
     faint, sure = _receding(slopes[box], mask[box])
     if not sure.any():
         return contours
@@ -240,30 +224,19 @@ def edges_beside(
     return edges[np.linalg.norm(beside[first] - beside[second], axis=1) <= _TWO_SIDES_PX]
 
 
-@njit
-def _receding(slopes, mask):  # type: ignore[no-untyped-def]
+def _receding(slopes: Slopes, mask: Mask) -> tuple[Mask, Mask]:
     """(h, w) pixels between two, of which one recedes towards the other: at least faintly, and surely."""
-    h, w = mask.shape
-    faint, sure = np.zeros((h, w), dtype=np.bool_), np.zeros((h, w), dtype=np.bool_)
-    steep, slope = np.tan(_STEEP), np.empty((h, w), dtype=np.float32)
-    for c in range(2):
-        for v in range(h):
-            for u in range(w):
-                known = slopes[v, u, 2] >= _LEAST_SLOPE_WEIGHT
-                slope[v, u] = slopes[v, u, c] / slopes[v, u, 2] if known else np.nan
-        for v in range(h):
-            for u in range(w):
-                if not mask[v, u]:
-                    continue
-                for k in range(1, _REACH_PX + 1):
-                    left, right = (u - k, u + k - 1) if c == 0 else (u, u)
-                    above, below = (v, v) if c == 0 else (v - k, v + k - 1)
-                    if left < 0 or above < 0 or right >= w or below >= h:
-                        continue
-                    a, b = slope[above, left], slope[below, right]
-                    if not (a >= steep or b <= -steep):
-                        continue
-                    before, after = np.arctan(a), np.arctan(b)  # all comparisons fail where one is unknown
-                    faint[v, u] |= before - after > _TURN
-                    sure[v, u] |= before - after > _SURE_TURN and max(before, -after) > _SURELY_STEEP
+    faint, sure = np.zeros_like(mask), np.zeros_like(mask)
+    known = slopes[..., 2] >= _LEAST_SLOPE_WEIGHT
+    for axis, along in ((1, 0), (0, 1)):
+        slope = np.where(known, slopes[..., along], np.nan) / np.where(known, slopes[..., 2], 1.0)
+        angle = np.moveaxis(np.arctan(slope), axis, 0)  # all comparisons fail where it is unknown
+        within, faintly, surely = (np.moveaxis(each, axis, 0) for each in (mask, faint, sure))
+        for reach in range(1, _REACH_PX + 1):
+            between = slice(reach, len(angle) + 1 - reach)
+            before, after = angle[: 1 - 2 * reach], angle[2 * reach - 1 :]
+            turns = within[between] & ((before >= _STEEP) | (after <= -_STEEP))
+            faintly[between] |= turns & (before - after > _TURN)
+            steepest = np.maximum(before, -after)
+            surely[between] |= turns & (before - after > _SURE_TURN) & (steepest > _SURELY_STEEP)
     return faint, sure

@@ -22,13 +22,11 @@ from vntoolkit.arrays import Normals, VisibilityLabels
 from vntoolkit.photometry.frame import ALL_LIT, LinearFrame
 from vntoolkit.photometry.levelling import leveller_of
 from vntoolkit.photometry.response import LightResponse
-from vntoolkit.tracking.slopes import GRAZING, Relief
+from vntoolkit.tracking.slopes import GRAZING, SIGMA_PX, TAPS, Relief
 
 Paint = npt.NDArray[np.float32]  # (h, w): ρ, 0 where it is not known
 PaintImage = npt.NDArray[np.float32]  # (h, w, 2): w ρ and w
 
-_AROUND_PX = 2.5  # of the Gaussian: it is the one that bands are made with, so that they hold what it leaves
-_TAPS = 15  # to 3 sigma
 _LEAST_SQUARE = np.float32(1e-12)  # of a colour that is divided by
 
 
@@ -45,7 +43,8 @@ def paint_of_frame(
     """
     level = linear if response.variation is None else leveller_of(response, linear.shape).frame(linear)
     central = response.central
-    around = np.asarray(cv2.GaussianBlur(normals, (_TAPS, _TAPS), _AROUND_PX), np.float32)
+    # by the Gaussian that is taken off a band, so that bands hold what it leaves
+    around = np.asarray(cv2.GaussianBlur(normals, (TAPS, TAPS), SIGMA_PX), np.float32)
     light = around @ np.float32(central.matrix).T
     along = np.sum((level.rgb - np.float32(central.ambient)) * light, axis=-1)
     square = np.maximum(np.sum(light * light, axis=-1), _LEAST_SQUARE)

@@ -29,7 +29,7 @@ import numpy.typing as npt
 from vntoolkit.arrays import FloatArray, Points2
 from vntoolkit.native import njit
 from vntoolkit.tracking.bands import LEAST_NOISE, RIM_PX, Band, TemplateRaster, curl_of
-from vntoolkit.tracking.factors import Factor, factor, total
+from vntoolkit.tracking.factors import Factor, factor, full_of, total, upper_of
 from vntoolkit.tracking.lattice import NODES_BY_PASS, TemplateLattice
 from vntoolkit.tracking.paint import PaintImage
 from vntoolkit.tracking.running_template import Comparison, RunningTemplate, running_template
@@ -185,12 +185,10 @@ class TemplateRegistration:
         """What windows measure of nodes' own moments; (nodes,) the share that gradients have in common."""
         whole = 3.0**windows.passes  # of the weights of a window
         terms = self._lattice.smoothed(own, windows.passes) / whole
-        step, ratio, sure, axis = _steps(
-            terms, 2.0**windows.halvings, windows.nodes, _CORRELATED_PX * correlated
-        )
+        pixel, correlated_px = 2.0**windows.halvings, _CORRELATED_PX * correlated
+        step, ratio, sure, axes = _steps(terms, pixel, windows.nodes, correlated_px)
         spread = self._lattice.smoothed(_scores(own, step), windows.passes) / whole
-        information = _informed(own, terms, spread, sure, axis, windows.nodes, windows.accuracy_px)
-        return factor(information, step), ratio
+        return factor(_informed(own, terms, spread, sure, axes, windows), step), np.asarray(ratio)
 
     def _beside_contours(self, halvings: int, seen: list[Band]) -> npt.NDArray[np.float64]:
         """(nodes,) share of a node's pixels within reach of a contour, in the template or in the frame."""
@@ -307,75 +305,56 @@ def _moments(node, count, f, df, wf, g, dg, wg):  # type: ignore[no-untyped-def]
     return out
 
 
-@njit
-def _steps(terms, pixel, nodes, correlated_px):  # type: ignore[no-untyped-def]
-    """Step measured (nodes, 2), gradients' common share (nodes,), what is sure of A's eigenvalues, its axis.
+def _steps(
+    terms: FloatArray, pixel: float, nodes: float, correlated_px: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Step measured (nodes, 2), gradients' common share (nodes,), what is sure of A's eigenvalues, its axes.
 
-    Those two (nodes, 2): 0 where chance makes as much; and the cosine and sine of the first eigenvector.
+    Sure (nodes, 2): 0 where chance makes as much. Axes (nodes, 2, 2): the eigenvectors, row by row.
     """
-    m = terms.shape[0]
-    steps, ratio, kept, axis = np.zeros((m, 2)), np.zeros(m), np.zeros((m, 2)), np.zeros((m, 2))
-    for j in range(m):
-        if terms[j, 9] <= 0:
-            continue
-        a, b, c = terms[j, 0], terms[j, 1], terms[j, 2]
-        mean, half = 0.5 * (a + c), np.sqrt(0.25 * (a - c) ** 2 + b * b)
-        angle = 0.5 * np.arctan2(2 * b, a - c)
-        chance = _CHANCE * np.sqrt(correlated_px[j] / (2.0 * max(nodes * terms[j, 11], 1.0)))
-        ratio[j] = max(0.0, 2 * mean / max(terms[j, 10], 1e-30))
-        axis[j, 0], axis[j, 1] = np.cos(angle), np.sin(angle)
-        for k in range(2):
-            value = mean + half if k == 0 else mean - half
-            x, y = axis[j, 0], axis[j, 1]
-            if k == 1:
-                x, y = -y, x
-            power = terms[j, 3] * x * x + 2 * terms[j, 4] * x * y + terms[j, 5] * y * y
-            sure = value - chance * power - max(terms[j, 13], 0.0)
-            if sure <= 0 or power <= 0:
-                continue
-            kept[j, k] = sure
-            step = (terms[j, 6] * x + terms[j, 7] * y) / value
-            step = min(max(step, -_LONGEST_STEP_PX * pixel), _LONGEST_STEP_PX * pixel)
-            steps[j, 0] += step * x
-            steps[j, 1] += step * y
-    return steps, ratio, kept, axis
+    a, b, c = terms[:, :3].T
+    mean, half = 0.5 * (a + c), np.sqrt(0.25 * (a - c) ** 2 + b * b)
+    angle = 0.5 * np.arctan2(2 * b, a - c)
+    cosine, sine = np.cos(angle), np.sin(angle)
+    axes = np.stack([cosine, sine, -sine, cosine], axis=1).reshape(-1, 2, 2)
+    values = np.stack([mean + half, mean - half], axis=1)
+    seen = terms[:, 9] > 0
+    ratio = seen * np.maximum(2 * mean / np.maximum(terms[:, 10], 1e-30), 0.0)
+    chance = _CHANCE * np.sqrt(correlated_px / (2.0 * np.maximum(nodes * terms[:, 11], 1.0)))
+    power = _along(axes, terms[:, 3:6])
+    sure = values - chance[:, None] * power - np.maximum(terms[:, 13:], 0.0)
+    told = seen[:, None] & (sure > 0) & (power > 0)
+    step = np.einsum("nkj,nj->nk", axes, terms[:, 6:8]) / np.where(told, values, 1.0)
+    step = told * np.clip(step, -_LONGEST_STEP_PX * pixel, _LONGEST_STEP_PX * pixel)
+    return np.einsum("nk,nkj->nj", step, axes), ratio, told * sure, axes
 
 
-@njit
-def _scores(terms, steps):  # type: ignore[no-untyped-def]
+def _along(axes: FloatArray, matrix: FloatArray) -> npt.NDArray[np.float64]:
+    """(nodes, 2) of symmetric matrices (nodes, 3) along two axes (nodes, 2, 2)."""
+    return np.einsum("nki,nij,nkj->nk", axes, full_of(matrix), axes)
+
+
+def _scores(terms: FloatArray, steps: FloatArray) -> npt.NDArray[np.float64]:
     """(nodes, 4) products of what a node's own pixels add to b at the step of its window; A squared."""
-    m = terms.shape[0]
-    out = np.empty((m, 4))
-    for j in range(m):
-        x, y = steps[j, 0], steps[j, 1]
-        p = terms[j, 6] - terms[j, 0] * x - terms[j, 1] * y
-        q = terms[j, 7] - terms[j, 1] * x - terms[j, 2] * y
-        out[j, 0], out[j, 1], out[j, 2] = p * p, p * q, q * q
-        out[j, 3] = (terms[j, 0] + terms[j, 2]) ** 2
-    return out
+    p, q = (terms[:, 6:8] - (full_of(terms[:, :3]) @ steps[..., None])[..., 0]).T
+    return np.stack([p * p, p * q, q * q, (terms[:, 0] + terms[:, 2]) ** 2], axis=1)
 
 
-@njit
-def _informed(own, terms, spread, kept, axis, nodes, accuracy):  # type: ignore[no-untyped-def]
+def _informed(
+    own: FloatArray,
+    terms: FloatArray,
+    spread: FloatArray,
+    sure: FloatArray,
+    axes: FloatArray,
+    windows: Windows,
+) -> npt.NDArray[np.float64]:
     """Information (nodes, 3) of one node's share of its window: it tells of where its relief lies."""
-    m = terms.shape[0]
-    information = np.zeros((m, 3))
-    for j in range(m):
-        part = own[j, 12] / max(terms[j, 12], 1e-30)
-        telling = nodes * (terms[j, 0] + terms[j, 2]) ** 2 / max(spread[j, 3], 1e-30)  # nodes of the window
-        few = _FEW_NODES * telling / max(telling - 1.0, 0.1)  # one fits the step exactly
-        for k in range(2):
-            sure = kept[j, k]
-            if sure <= 0:
-                continue
-            x, y = axis[j, 0], axis[j, 1]
-            if k == 1:
-                x, y = -y, x
-            power = terms[j, 3] * x * x + 2 * terms[j, 4] * x * y + terms[j, 5] * y * y
-            scatter = spread[j, 0] * x * x + 2 * spread[j, 1] * x * y + spread[j, 2] * y * y
-            noise = terms[j, 8] / terms[j, 9] + LEAST_NOISE**2
-            info = part / (max(few * scatter, power * noise) / (sure * sure) + accuracy**2)
-            information[j, 0] += info * x * x
-            information[j, 1] += info * x * y
-            information[j, 2] += info * y * y
-    return information
+    part = own[:, 12] / np.maximum(terms[:, 12], 1e-30)
+    # nodes of the window, of which one fits the step exactly
+    telling = windows.nodes * (terms[:, 0] + terms[:, 2]) ** 2 / np.maximum(spread[:, 3], 1e-30)
+    few = _FEW_NODES * telling / np.maximum(telling - 1.0, 0.1)
+    noise = terms[:, 8] / np.maximum(terms[:, 9], 1e-30) + LEAST_NOISE**2
+    scatter = few[:, None] * _along(axes, spread[:, :3])
+    error = np.maximum(scatter, noise[:, None] * _along(axes, terms[:, 3:6]))
+    variance = error / np.where(sure > 0, sure, 1.0) ** 2 + windows.accuracy_px**2
+    return upper_of(np.einsum("nk,nki,nkj->nij", (sure > 0) * part[:, None] / variance, axes, axes))

@@ -59,10 +59,10 @@ class TranslationRegulariser:
 class ArapRegulariser:
     """`sorkine2007`, with every k-th pixel as a handle whose target is met exactly."""
 
-    def __init__(self, template: TrackingTemplate, handle_spacing_px: int = _HANDLE_SPACING_PX) -> None:
-        """Choose the handles: pixels on a lattice of that spacing, and all of a piece that it passes by."""
+    def __init__(self, template: TrackingTemplate) -> None:
+        """Choose the handles: pixels on a lattice, and all of a piece that it passes by."""
         self._faces = template.faces
-        on_lattice = np.all(template.pixels % handle_spacing_px == 0, axis=1)
+        on_lattice = np.all(template.pixels % _HANDLE_SPACING_PX == 0, axis=1)
         pieces, piece = _pieces(template)
         is_held = np.bincount(piece, on_lattice, minlength=pieces) > 0
         self._handles = np.flatnonzero(on_lattice | ~is_held[piece])

@@ -29,7 +29,6 @@ import numpy as np
 import numpy.typing as npt
 
 from vntoolkit.arrays import FloatArray
-from vntoolkit.native import njit
 from vntoolkit.tracking.bands import Band
 from vntoolkit.tracking.factors import Factor, factor, full_of, upper_of
 from vntoolkit.tracking.slopes import gradients
@@ -83,7 +82,7 @@ class RunningTemplate:
         whole = np.linalg.inv(full_of(fine) + _LEAST_INFORMATION)
         gain = whole @ full_of(more)  # share of the errors of this in those of the frame
         noise = gain @ np.linalg.inv(full_of(frame.against.information) + _LEAST_INFORMATION)
-        noise = noise @ _transposed(gain) + whole @ full_of(fine - more) @ whole
+        noise = noise @ gain.mT + whole @ full_of(fine - more) @ whole
         grown = _largest(np.linalg.inv(self.variance + _LEAST_VARIANCE) @ noise)
         rate = np.minimum(_RATE, np.sqrt(_RATE / np.maximum(grown, 1e-12)))  # P grows by a tenth at most
         rate *= fine[:, [0, 2]].any(axis=1)
@@ -92,13 +91,18 @@ class RunningTemplate:
         offset = np.einsum("nij,nj->ni", whole, frame.fine.right_hand_side)
         features, weights = self.features.copy(), self.weights.copy()
         for k, band in enumerate(frame.bands):
-            parts = features[..., _CHANNELS[k]], weights[..., k]
-            _mix_in(band.node, rate, *parts, band.features, band.weight)
+            share = np.where(band.node >= 0, rate[band.node], 0.0)
+            own, new = (1.0 - share) * weights[..., k], share * band.weight
+            whole = np.maximum(own + new, 1e-30)[..., None]
+            mean = (own[..., None] * features[..., _CHANNELS[k]] + new[..., None] * band.features) / whole
+            known = (own + new > 0)[..., None]
+            features[..., _CHANNELS[k]] = np.where(known, mean, features[..., _CHANNELS[k]])
+            weights[..., k] = own + new
         return replace(
             self,
             features=features,
             weights=weights,
-            variance=kept @ self.variance @ _transposed(kept) + _ALIKE * each**2 * noise,
+            variance=kept @ self.variance @ kept.mT + _ALIKE * each**2 * noise,
             offset=self.offset + rate[:, None] * (offset - self.offset),
         )
 
@@ -149,27 +153,7 @@ def running_template(bands: tuple[Band, ...], nodes: int, edges: int) -> Running
     )
 
 
-def _transposed(matrix: FloatArray) -> npt.NDArray[np.float64]:
-    return np.swapaxes(matrix, 1, 2)
-
-
 def _largest(matrix: FloatArray) -> npt.NDArray[np.float64]:
     """Largest eigenvalue (m,) of products (m, 2, 2) of two positive definite matrices."""
     half = 0.5 * np.trace(matrix, axis1=1, axis2=2)
     return np.asarray(half + np.sqrt(np.maximum(half**2 - np.linalg.det(matrix), 0.0)))
-
-
-@njit
-def _mix_in(node, rate, features, weight, new_features, new_weight):  # type: ignore[no-untyped-def]
-    """Overwrite weighted means (h, w, k) and weights (h, w): new ones come in at each node's rate."""
-    h, w = node.shape
-    for v in range(h):
-        for u in range(w):
-            j = node[v, u]
-            if j < 0 or rate[j] <= 0:
-                continue
-            own, new = (1.0 - rate[j]) * weight[v, u], rate[j] * new_weight[v, u]
-            weight[v, u] = own + new
-            if own + new > 0:
-                for c in range(features.shape[2]):
-                    features[v, u, c] = (own * features[v, u, c] + new * new_features[v, u, c]) / (own + new)

@@ -26,8 +26,8 @@ GRAZING = 0.3  # cosine below which a slope weighs less, 73°: there it is mostl
 _EDGE_REACH_PX = 2  # of an edge that is off by a pixel, in a picture that is blurred by one
 _LEAST_DIVISOR = np.float32(1e-3)  # of what a weight is divided by
 LEAST_WEIGHT = 0.01  # of a pixel that counts
-_SIGMA_PX = 2.5  # of the Gaussian that is taken off a band
-_TAPS = 15  # to 3 sigma
+SIGMA_PX = 2.5  # of the Gaussian that is taken off a band
+TAPS = 15  # to 3 sigma
 _TIMES = 3  # that it is: relief up to 16 px long passes, of a fold of 60 px a ten-thousandth is left
 _MOST_HALVINGS = 2
 _JUMP_SMOOTHING_PX = 1.5
@@ -101,8 +101,23 @@ def metric_sums(
 
     G is in pixels, unit where the surface faces the axis at the distance that the scale (n,) is 1 for.
     """
-    positions = np.ascontiguousarray(positions_px, dtype=np.float64)
-    return _metric_sums(slopes, positions, scale, node, count, _ray_terms(camera))
+    h, w = slopes.shape[:2]
+    p, q, weight = sample_image(slopes, positions_px).T
+    p, q = p / np.maximum(weight, 0.02), q / np.maximum(weight, 0.02)
+    u, v = np.clip(positions_px, 0.0, (w - 1.0, h - 1.0)).T
+    per_u, per_v, centre_u, centre_v = _ray_terms(camera)
+    x, y = (u - centre_u) * per_u, (v - centre_v) * per_v
+    square = 1.0 + x * x + y * y
+    share = weight * scale**2
+    terms = (
+        share * (1.0 + 2.0 * p * x + p * p * square),
+        share * (p * y + q * x + p * q * square),
+        share * (1.0 + 2.0 * q * y + q * q * square),
+        weight * p,
+        weight * q,
+        weight,
+    )
+    return np.stack([np.bincount(node, term, count) for term in terms], axis=1)
 
 
 def gradient_bands(
@@ -216,37 +231,6 @@ def _ray_terms(camera: Camera) -> npt.NDArray[np.float64]:
 
 
 @njit
-def _metric_sums(slopes, positions, scale, node, count, rays):  # type: ignore[no-untyped-def]
-    h, w = slopes.shape[:2]
-    n = positions.shape[0]
-    out = np.zeros((count, 6))
-    for i in range(n):
-        x = min(max(positions[i, 0], 0.0), w - 1.0)
-        y = min(max(positions[i, 1], 0.0), h - 1.0)
-        u, v = min(int(x), w - 2), min(int(y), h - 2)
-        a, b = x - u, y - v
-        p = q = weight = 0.0
-        for dv in range(2):
-            for du in range(2):
-                share = (a if du else 1 - a) * (b if dv else 1 - b)
-                p += share * slopes[v + dv, u + du, 0]
-                q += share * slopes[v + dv, u + du, 1]
-                weight += share * slopes[v + dv, u + du, 2]
-        p, q = p / max(weight, 0.02), q / max(weight, 0.02)
-        rx, ry = (x - rays[2]) * rays[0], (y - rays[3]) * rays[1]
-        square = 1.0 + rx * rx + ry * ry
-        factor = weight * scale[i] ** 2
-        j = node[i]
-        out[j, 0] += factor * (1.0 + 2 * p * rx + p * p * square)
-        out[j, 1] += factor * (p * ry + q * rx + p * q * square)
-        out[j, 2] += factor * (1.0 + 2 * q * ry + q * q * square)
-        out[j, 3] += weight * p
-        out[j, 4] += weight * q
-        out[j, 5] += weight
-    return out
-
-
-@njit
 def _sample(image, positions):  # type: ignore[no-untyped-def]
     h, w, channels = image.shape
     out = np.empty((positions.shape[0], channels))
@@ -265,10 +249,10 @@ def _sample(image, positions):  # type: ignore[no-untyped-def]
 
 def _high_pass(values: npt.NDArray[np.float32], weight: npt.NDArray[np.float32]) -> None:
     """Take the Gaussian mean off values (h, w, k) premultiplied by weight (h, w), thrice; divide by it."""
-    around = cv2.GaussianBlur(weight, (_TAPS, _TAPS), _SIGMA_PX)
+    around = cv2.GaussianBlur(weight, (TAPS, TAPS), SIGMA_PX)
     share = np.where(weight > 0, weight / np.maximum(around, _LEAST_DIVISOR), np.float32(0.0))[..., None]
     for _ in range(_TIMES):
-        values -= share * cv2.GaussianBlur(values, (_TAPS, _TAPS), _SIGMA_PX).reshape(values.shape)
+        values -= share * cv2.GaussianBlur(values, (TAPS, TAPS), SIGMA_PX).reshape(values.shape)
     values /= np.maximum(weight, _LEAST_DIVISOR)[..., None]
 
 

@@ -48,7 +48,6 @@ _LEAST_SINGULAR = 0.2  # of a Jacobian: steps are not taken through a surface se
 # Expected error over the root mean square of what is drawn: about nine in ten errors are then below it, as
 # measured on a sweater, a head and a sheet. Were nothing wrong but what is drawn, 1.5 would do.
 _COVERAGE = 2.2
-_ERROR_PASSES = 1  # of lattice smoothing of the samples' variance
 _WELL_KNOWN = 0.9  # share of the motion, from which all of it goes on
 _JUMPED = 0.05  # share of the figure that no motion of before uncovers in one frame
 _LOST_MATCH = 0.5  # share of the expected match under which relief does not match
@@ -257,7 +256,7 @@ class SurfaceFit:
         half_wave_px = measured.factors[-2].shared_px
         square = square + self._error_of_all(measured.factors)
         square = square + (1.0 - measured.known) * (half_wave_px / _COVERAGE) ** 2
-        sums = self._lattice.smoothed(np.column_stack([square, np.ones(len(square))]), _ERROR_PASSES)
+        sums = self._lattice.smoothed(np.column_stack([square, np.ones(len(square))]), 1)
         root = _COVERAGE * np.sqrt(sums[:, :1] / sums[:, 1:])
         return self._lattice.at_vertices(root)[:, 0]
 

@@ -30,14 +30,12 @@ class TrackingTemplate:
     pixels: (n, 2) int32 (u, v), raster order. vertices_in_camera: (n, 3) float64. faces: (m, 3), outside
     towards the viewer, none across a seam. edges: (e, 2) horizontal and vertical pixel neighbours, none
     across a seam: what the graph of the regularisers and the windows of the registration follow.
-    index: (h, w) int32 vertex of a pixel or −1.
     """
 
     pixels: npt.NDArray[np.int32]
     vertices_in_camera: Points
     faces: Faces
     edges: npt.NDArray[np.int32]
-    index: npt.NDArray[np.int32]
 
     @property
     def positions_px(self) -> Points2:
@@ -63,15 +61,15 @@ def template_from_maps(
     if normal_map.shape != (camera.height, camera.width):
         h, w = normal_map.shape
         raise BadInput(f"template is {w}×{h} but the camera is {camera.width}×{camera.height}")
-    mask = _mask_with_triangles(normal_map.mask & depth_map.mask)
+    by_pixel = _grid_faces(normal_map.mask & depth_map.mask)
+    mask = np.zeros(normal_map.shape, dtype=np.bool_)
+    mask.ravel()[by_pixel] = True
     if not mask.any():
         raise BadInput("template: no valid pixel with normal and depth; choose another frame (--template N)")
     require_seams_on_mask(seams, mask)
-    index = np.full(mask.shape, -1, dtype=np.int32)
     v, u = np.nonzero(mask)
-    index[v, u] = np.arange(len(u), dtype=np.int32)
     pixels = np.stack([u, v], axis=1).astype(np.int32)
-    faces = _grid_faces(index)
+    faces = (np.cumsum(mask, dtype=np.int32) - 1)[by_pixel]
     all_edges = edges_from_faces(faces)
     cut = cut_edges(all_edges, pixels.astype(np.float64), seams)
     straight = np.abs(pixels[all_edges[:, 0]] - pixels[all_edges[:, 1]]).sum(axis=1) == 1
@@ -80,33 +78,25 @@ def template_from_maps(
         vertices_in_camera=camera.unproject(pixels.astype(np.float64), depth_map.depth[v, u]),
         faces=faces_without_cut_edges(faces, all_edges, cut) if cut.any() else faces,
         edges=all_edges[straight & ~cut],
-        index=index,
     )
 
 
-def _corner_masks(mask: Mask) -> list[Mask]:
-    """Valid triangles of each quad: whole quads as two, quads with three corners as one."""
-    a, b, c, d = mask[:-1, :-1], mask[:-1, 1:], mask[1:, :-1], mask[1:, 1:]
-    return [a & b & c, b & c & d, a & b & ~c & d, a & ~b & c & d]
+def _grid_faces(mask: Mask) -> IntArray:
+    """Triangles (m, 3) of pixels by number, row after row: two of a quad, or one where a corner is missing.
 
-
-def _mask_with_triangles(mask: Mask) -> Mask:
-    used = np.zeros_like(mask)
-    abc, bcd, abd, acd = _corner_masks(mask)
-    used[:-1, :-1] |= abc | abd | acd
-    used[:-1, 1:] |= abc | bcd | abd
-    used[1:, :-1] |= abc | bcd | acd
-    used[1:, 1:] |= bcd | abd | acd
-    return used
-
-
-def _grid_faces(index: npt.NDArray[np.int32]) -> Faces:
-    """Triangles of the pixel grid, counter-clockwise seen from the camera (whose y points down)."""
-    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
-    abc, bcd, abd, acd = _corner_masks(index >= 0)
-    corners = [(abc, a, c, b), (bcd, b, c, d), (abd, a, d, b), (acd, a, c, d)]
-    faces = np.concatenate([np.stack([p[keep], q[keep], r[keep]], axis=1) for keep, p, q, r in corners])
-    return faces.astype(np.int32)
+    They are counter-clockwise seen from the camera, whose y points down.
+    """
+    index = np.arange(mask.size).reshape(mask.shape)
+    (a, b, c, d), (p, q, r, s) = (
+        (each[:-1, :-1], each[:-1, 1:], each[1:, :-1], each[1:, 1:]) for each in (mask, index)
+    )
+    corners = [
+        (a & b & c, p, r, q),
+        (b & c & d, q, r, s),
+        (a & b & ~c & d, p, s, q),
+        (a & ~b & c & d, p, r, s),
+    ]
+    return np.concatenate([np.stack([x[kept], y[kept], z[kept]], axis=1) for kept, x, y, z in corners])
 
 
 def require_seams_on_mask(seams: Sequence[Points2], mask: Mask) -> None:

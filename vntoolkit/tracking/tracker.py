@@ -158,16 +158,13 @@ class SurfaceTracker:
             expected = flow_from_tracks(self._before.positions_px, before.positions_px, normal_map.shape)
             moved = advected_positions(moved, flow_between(self._previous, normal_map, expected))
         targets, _ = targets_on_surface(moved, depth_map, self.camera, before.vertices_in_camera[:, 2])
-        solver, vertices = self._solver, before.vertices_in_camera
-        if isinstance(solver, TranslationRegulariser):
-            return np.asarray(vertices + solver.solve(targets - vertices))
-        if isinstance(solver, LaplacianRegulariser):
-            published = self.options.method is Tracker.LAPLACIAN
-            rest = self.template.vertices_in_camera if published else vertices
-            return np.asarray(rest + solver.solve(targets - rest))
-        if isinstance(solver, ArapRegulariser):
-            return solver.solve(vertices, targets)
-        return targets
+        if self._solver is None:
+            return targets
+        if isinstance(self._solver, ArapRegulariser):
+            return self._solver.solve(before.vertices_in_camera, targets)
+        from_rest = self.options.method is Tracker.LAPLACIAN
+        rest = (self.template if from_rest else before).vertices_in_camera
+        return np.asarray(rest + self._solver.solve(targets - rest))
 
 
 def _solver(template: TrackingTemplate, options: TrackingOptions) -> Solver | None:

@@ -18,8 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vntoolkit.arrays import Array
-from vntoolkit.checks import require_in_range
-from vntoolkit.errors import BadCapture, CannotWrite
+from vntoolkit.errors import BadCapture, BadInput, CannotWrite
 from vntoolkit.io.atomic import atomic_path
 from vntoolkit.io.files import require_file, require_pixels
 from vntoolkit.io.footage import pixel_formats
@@ -351,7 +350,8 @@ def write_video(path: Path | str, frames: Iterable[Array], frame_rate_hz: float)
     path = Path(path)
     if path.suffix.lower() != ".mkv":
         raise CannotWrite(f"{path}: video is written as FFV1 in Matroska; give a name that ends in .mkv")
-    require_in_range(frame_rate_hz, 1e-3, 1e6, f"{path}: frame rate")
+    if not 1e-3 <= frame_rate_hz <= 1e6:
+        raise BadInput(f"{path}: frame rate: expected a value from 0.001 to 1e+06, got {frame_rate_hz:g}")
     count, first = 0, ""
     try:
         # Without "bitexact" Matroska gets a random identifier, and equal frames unequal files.
