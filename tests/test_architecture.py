@@ -101,17 +101,17 @@ LINES = {
 
 # Verb -> most modules of the package, and most lines of them, that are loaded before its function runs.
 CLOSURES = {
-    "reconstruct": (61, 8_110),
-    "track": (89, 12_380),
-    "export": (51, 6_730),
-    "view": (57, 7_450),
-    "report": (53, 6_840),
-    "integrate": (80, 11_720),
-    "dress": (93, 14_470),
-    "simulate": (79, 11_340),
-    "doctor": (30, 3_740),
-    "board": (29, 3_440),
-    "schema": (24, 2_830),
+    "reconstruct": (61, 7_980),
+    "track": (89, 12_120),
+    "export": (51, 6_700),
+    "view": (57, 7_370),
+    "report": (53, 6_780),
+    "integrate": (80, 11_660),
+    "dress": (93, 14_230),
+    "simulate": (79, 11_190),
+    "doctor": (29, 3_650),
+    "board": (29, 3_410),
+    "schema": (24, 2_820),
 }
 
 # The same of `reconstruct --shadows none --materials calibrated` when it has run.
