@@ -95,7 +95,7 @@ LINES = {
     "shadows": 2310,
     "simulation": 3500,
     "skinning": 1980,
-    "tactile": 1950,
+    "tactile": 1990,
     "tracking": 3110,
 }
 

@@ -16,7 +16,7 @@ from vntoolkit.geometry.maps import NOISE_CELL_PX, NormalMap
 from vntoolkit.native import njit
 from vntoolkit.photometry.gel import GelResponse
 from vntoolkit.photometry.response import LightResponse
-from vntoolkit.spread import NINE_OF_TEN_IN_PLANE, robust_deviation
+from vntoolkit.spread import MEDIAN_TO_DEVIATION, NINE_OF_TEN_IN_PLANE, robust_deviation
 from vntoolkit.tactile.response import STEEPEST
 
 _VOTES = 1200  # pixels that the drift is fitted to, evenly spread
@@ -35,42 +35,20 @@ def drift_of_change(change: LinearImage, usable: Mask) -> FloatArray:
     """
     require_shape(change, (None, None, 3), "change of colour")
     require_mask(usable, change.shape[:2])
-    step = max(1, round(float(np.sqrt(usable.size / _VOTES))))
-    some = slice(step // 2, None, step)
-    chosen = usable[some, some]
-    if np.count_nonzero(chosen) < 2 * _DRIFT_TERMS:
+    height, width = usable.shape
+    step = max(1, round(float(np.sqrt(height * width / _VOTES))))
+    values, positions = _votes(np.ascontiguousarray(change), usable, step)
+    if values.shape[1] < 2 * _DRIFT_TERMS:
         return np.zeros((_DRIFT_TERMS, 3))
-    terms = quadratic_terms(*(place[some] for place in _places(usable.shape)))
-    return _fit_drift(change[some, some][chosen].astype(np.float64), terms[chosen])
+    return np.asarray(_fit_drift(values, positions, _LEAST_NOISE))
 
 
 def change_without_drift(change: LinearImage, usable: Mask) -> LinearImage:
     """A change of colour (h, w, 3) less its drift."""
-    terms = quadratic_terms(*_places(usable.shape))
+    height, width = usable.shape
+    y, x = np.meshgrid(np.linspace(-1, 1, height), np.linspace(-1, 1, width), indexing="ij")
+    terms = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1)
     return (change - terms @ drift_of_change(change, usable)).astype(np.float32)
-
-
-def quadratic_terms(y: FloatArray, x: FloatArray) -> FloatArray:
-    """Return (h, w, 6), 1, x, y, x², x y, y² at rows y (h,) and columns x (w,)."""
-    y, x = np.meshgrid(y, x, indexing="ij")
-    return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1)
-
-
-def _places(shape: tuple[int, ...]) -> list[FloatArray]:
-    return [np.linspace(-1, 1, length) for length in shape]
-
-
-def _fit_drift(values: FloatArray, terms: FloatArray) -> FloatArray:
-    """Fit colours (n, 3) by terms (n, 6): reweighted least squares with Geman and McClure's weights."""
-    weight = np.ones(len(values))
-    for _ in range(_ROUNDS):
-        weighted = terms * weight[:, None]
-        normal = weighted.T @ terms + 1e-9 * len(values) * np.eye(_DRIFT_TERMS)
-        drift = np.linalg.solve(normal, weighted.T @ values)
-        residual = np.linalg.norm(values - terms @ drift, axis=1)
-        scale = 2.0 * max(robust_deviation(residual), _LEAST_NOISE)
-        weight = 1.0 / (1.0 + (residual / scale) ** 2) ** 2
-    return drift
 
 
 class GelInverter:
@@ -249,3 +227,74 @@ def _normals_row(s: Array, t: Array, x: Array, y: Array, z: Array) -> None:
         x[u] = two * short * s[u] * scale
         y[u] = two * short * t[u] * scale
         z[u] = (squared - one) * scale
+
+
+@njit
+def _votes(change: Array, usable: Array, step: int) -> tuple[Array, Array]:
+    """Colours (3, n) and terms of the place (6, n) of every step-th pixel of every step-th row."""
+    height, width = usable.shape
+    most = ((height + step - 1) // step) * ((width + step - 1) // step)
+    values, positions = np.empty((3, most)), np.empty((_DRIFT_TERMS, most))
+    count = 0
+    for v in range(step // 2, height, step):
+        y = 2.0 * v / (height - 1) - 1.0 if height > 1 else 0.0
+        for u in range(step // 2, width, step):
+            if usable[v, u]:
+                x = 2.0 * u / (width - 1) - 1.0 if width > 1 else 0.0
+                positions[0, count], positions[1, count], positions[2, count] = 1.0, x, y
+                positions[3, count], positions[4, count], positions[5, count] = x * x, x * y, y * y
+                for c in range(3):
+                    values[c, count] = change[v, u, c]
+                count += 1
+    return values[:, :count].copy(), positions[:, :count].copy()
+
+
+@njit
+def _fit_drift(values: Array, positions: Array, least_noise: float) -> Array:
+    """Iteratively reweighted least squares with Geman and McClure's weights."""
+    count = values.shape[1]
+    drift: Array = np.zeros((_DRIFT_TERMS, 3))
+    weight, weighted, residual = np.ones(count), np.empty(count), np.empty(count)
+    for _ in range(_ROUNDS):
+        normal, right = np.zeros((_DRIFT_TERMS, _DRIFT_TERMS)), np.zeros((_DRIFT_TERMS, 3))
+        for i in range(_DRIFT_TERMS):
+            _multiply(weight, positions[i], weighted)
+            for j in range(i, _DRIFT_TERMS):
+                normal[i, j] = normal[j, i] = _dot(weighted, positions[j])
+            for c in range(3):
+                right[i, c] = _dot(weighted, values[c])
+            normal[i, i] += 1e-9 * count
+        drift = np.linalg.solve(normal, right)
+        _measure(values, positions, drift, residual)
+        scale = 2.0 * max(MEDIAN_TO_DEVIATION * np.median(residual[::2]), least_noise)
+        weight = 1.0 / (1.0 + (residual / scale) ** 2) ** 2
+    return drift
+
+
+@njit
+def _measure(values: Array, positions: Array, drift: Array, residual: Array) -> None:
+    """Lengths (n,) of what the drift leaves of the colours."""
+    x, y, xx, xy, yy = positions[1], positions[2], positions[3], positions[4], positions[5]
+    residual[:] = 0.0
+    for c in range(3):
+        d0, d1, d2, d3, d4, d5 = drift[0, c], drift[1, c], drift[2, c], drift[3, c], drift[4, c], drift[5, c]
+        colour = values[c]
+        for n in range(len(residual)):
+            rest = colour[n] - d0 - d1 * x[n] - d2 * y[n] - d3 * xx[n] - d4 * xy[n] - d5 * yy[n]
+            residual[n] += rest * rest
+    for n in range(len(residual)):
+        residual[n] = np.sqrt(residual[n])
+
+
+@njit
+def _multiply(first: Array, second: Array, out: Array) -> None:
+    for n in range(len(first)):
+        out[n] = first[n] * second[n]
+
+
+@njit
+def _dot(first: Array, second: Array) -> float:
+    total = 0.0
+    for n in range(len(first)):
+        total += first[n] * second[n]
+    return total

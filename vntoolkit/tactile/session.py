@@ -9,7 +9,6 @@ from itertools import permutations
 import numpy as np
 
 from vntoolkit.arrays import FloatArray, LinearImage, Mask
-from vntoolkit.tactile.inversion import quadratic_terms
 
 _BLOCKS = 12  # by side; their medians do not see dots
 _LEAST_KNOWN = 0.5  # of a block's pixels
@@ -43,7 +42,8 @@ def colours_of_terms(terms: FloatArray) -> FloatArray:
 def _terms() -> FloatArray:
     """(144, 6): x and y run from −1 to 1 over the picture."""
     at = (2.0 * np.arange(_BLOCKS) + 1.0) / _BLOCKS - 1.0
-    return quadratic_terms(at, at).reshape(-1, 6)
+    x, y = (each.ravel() for each in np.meshgrid(at, at))
+    return np.column_stack([np.ones_like(x), x, y, x * x, x * y, y * y])
 
 
 def channel_order(colours: FloatArray, reference: FloatArray) -> tuple[int, ...]:
