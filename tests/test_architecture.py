@@ -92,7 +92,7 @@ LINES = {
     "photometry": 1040,
     "pipeline": 7750,
     "report": 3130,
-    "shadows": 2310,
+    "shadows": 2330,
     "simulation": 3500,
     "skinning": 1980,
     "tactile": 1990,

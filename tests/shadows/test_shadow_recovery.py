@@ -18,7 +18,7 @@ from vntoolkit.shadows.albedo import albedo_from_lit, fill_smoothly
 from vntoolkit.shadows.contributions import contributions_from_rgb
 from vntoolkit.shadows.detector import ShadowDetector
 from vntoolkit.shadows.recovery import recover_normals
-from vntoolkit.shadows.roots import roots_of_labels, spread_of_albedo
+from vntoolkit.shadows.roots import mirror_probability, roots_of_labels, spread_of_albedo
 from vntoolkit.shadows.surface import SurfaceOptions, solve_surface
 from vntoolkit.simulation.image_formation import true_response
 from vntoolkit.simulation.render import render_frame
@@ -441,3 +441,17 @@ def test_the_end_of_a_cylinder_is_no_cast_shadow() -> None:
     two = truth.normals.mask & (count_lit(truth.labels) == 2)
     assert two.sum() > 2000
     assert off[two].mean() < 8.0  # 3.6; 89 where a wide shadow is cast as lightly as a narrow one
+
+
+def test_lit_pixels_vouch_for_a_root_as_far_as_it_is_unlikely_to_change() -> None:
+    """A strip whose left end borders on light: half way along, a change of root costs nothing."""
+    two, facing = np.ones((2, 3, 12), np.bool_)
+    log_odds, east, south = np.zeros((3, *two.shape), np.float32)
+    log_odds[:, 0] = [4.0, 3.0, 2.0]
+    east[:], south[:], east[:, 5] = 5.0, 5.0, 0.0
+    found = mirror_probability(log_odds, facing, two, east, south)
+    np.testing.assert_allclose(found[:, :6], 1.0 / (1.0 + np.exp(3.0)), rtol=1e-5)
+    np.testing.assert_allclose(found[:, 6:], 0.5)
+    np.testing.assert_allclose(
+        mirror_probability(log_odds, ~facing, two, east, south)[:, :6], 1 - found[:, :6]
+    )

@@ -8,13 +8,14 @@ continues across the edge of a cast shadow and across a terminator, and it may s
 another. A minimum cut finds the roots of all pixels at once (`boykov2001`).
 """
 
+import math
 from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 from scipy.special import expit
 
-from vntoolkit.arrays import ByteArray, FloatArray, Mask, VisibilityLabels
+from vntoolkit.arrays import ByteArray, FloatArray, Int32Array, Mask, VisibilityLabels
 from vntoolkit.native import njit
 from vntoolkit.photometry.frame import ALL_LIT, count_lit
 from vntoolkit.shadows.contributions import LightContributions, flat, lengths_of
@@ -85,23 +86,42 @@ def roots_of_labels(
     roots = np.where(two[..., None], np.cos(tilt)[..., None] * base + sine * across[wide], light.normals)
     known = mask & ((labels == ALL_LIT) | two)
     normals = np.where((labels == ALL_LIT)[..., None], light.normals, roots).astype(np.float32)
-    mirror = _mirror_probability(log_odds, facing, two)
+    mirror = mirror_probability(log_odds, facing, two, east, south)
     return Roots(normals=normals, known=known, variance=variance, mirror_probability=mirror)
 
 
-def _mirror_probability(log_odds: FloatArray, facing: Mask, two: Mask) -> FloatArray:
+def mirror_probability(
+    log_odds: FloatArray, facing: Mask, two: Mask, east: FloatArray, south: FloatArray
+) -> FloatArray:
     """Return how likely the other root is by the lit pixels around a patch of one root; 1/2 where none are.
 
-    Neighbours along a border see the same surface: together they say no more than one of them in the mean.
+    All (h, w). log_odds: of facing, by lit neighbours, 0 without. facing: whether that root is taken. two:
+    where two lights arrive. Neighbours along a border see the same surface: together they say no more than
+    one of them in the mean. They vouch only for pixels that a change of root is unlikely to part from them.
     """
     odds: FloatArray = np.zeros(two.shape, np.float32)
     for sign, side in ((1.0, facing), (-1.0, ~facing)):
-        count, patches = cv2.connectedComponents((two & side).astype(np.uint8), connectivity=4)
+        count, patches = _patches(two & side, east, south)
         said = np.bincount(patches.ravel(), sign * log_odds.ravel(), count)
         mean = said / np.maximum(np.bincount(patches.ravel(), log_odds.ravel() != 0.0, count), 1)
         mean[0] = 0.0  # the rest of the image
         odds += mean[patches].astype(np.float32)
     return np.asarray(expit(-odds), np.float32)
+
+
+def _patches(inside: Mask, east: FloatArray, south: FloatArray) -> tuple[int, Int32Array]:
+    """Number the patches (h, w) of pixels linked where a change of root is unlikely; 0 is the rest.
+
+    inside: (h, w). east, south: (h, w), prices of a change to the next pixel, nats.
+    """
+    height, width = inside.shape
+    price = math.log(1.0 / _UNLIKELY - 1.0)
+    grid = np.zeros((2 * height - 1, 2 * width - 1), np.uint8)  # a link lies between its two pixels
+    grid[::2, ::2] = inside
+    grid[::2, 1::2] = inside[:, :-1] & inside[:, 1:] & (east[:, :-1] > price)
+    grid[1::2, ::2] = inside[:-1] & inside[1:] & (south[:-1] > price)
+    count, patches = cv2.connectedComponents(grid, connectivity=4)
+    return count, np.asarray(patches[::2, ::2], np.int32)
 
 
 def with_sides_of_roots(
